@@ -1,0 +1,17 @@
+"""Acceleration structures: one `Blas` per distinct mesh, a `Tlas` over instances. No OpenGL; Numba only to build."""
+
+import time
+
+from glhybrid.bvh.blas import Blas, build_blas, pack
+from glhybrid.bvh.tlas import Tlas, build_tlas
+
+__all__ = ["Blas", "Tlas", "build_blas", "build_tlas", "pack", "warm_up"]
+
+
+def warm_up() -> float:
+    """Compile the builder, or load it from the cache, so that the first large model does not wait. Returns seconds."""
+    started = time.perf_counter()
+    from glhybrid.bvh import build
+
+    build.warm_up()
+    return time.perf_counter() - started

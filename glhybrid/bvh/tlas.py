@@ -1,0 +1,85 @@
+"""Tlas: the tree over instances, in the nodes of a Blas. A leaf is one instance: 0x80000000 | instance << 4 | 1."""
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from glhybrid.bvh.blas import MAX_SLOTS, PAD, SMALL, threads_available
+from glhybrid.bvh.check import check_structure, leaf_boxes, refuse
+from glhybrid.bvh.fragments import LEAF, box_fragments, grow_small, identity, make_grid
+from glhybrid.errors import GeometryError
+from glhybrid.scene import F32, F64, U32
+
+MAX_EXTENT = 1e30  # a box past this cannot be traced in float32
+
+
+@dataclass(frozen=True, eq=False)
+class Tlas:
+    """nodes (N, 8) uint32, grid_min and grid_step (3,) float32, boxes (I, 2, 3) float64 as given, depth as in Blas."""
+
+    nodes: U32
+    grid_min: F32
+    grid_step: F32
+    boxes: F64
+    depth: int
+    sah_cost: float
+    build_ms: float
+
+    @property
+    def nbytes(self) -> int:
+        return self.nodes.nbytes
+
+    def stats(self) -> dict[str, Any]:
+        """What a receipt reports."""
+        return {
+            "nodes": len(self.nodes),
+            "instances": len(self.boxes),
+            "depth": self.depth,
+            "sah_cost": self.sah_cost,
+            "bytes": self.nbytes,
+            "build_ms": self.build_ms,
+        }
+
+    def validate(self) -> None:
+        """Prove the tree, as Blas.validate does; every instance is one leaf, and its box inside the leaf's."""
+        depth, words = check_structure(self.nodes, len(self.boxes), largest_leaf=1)
+        refuse(depth != self.depth, f"depth is {depth}, stated is {self.depth}")
+        low, high = leaf_boxes(words, self.grid_min, self.grid_step)
+        outside = ((self.boxes[:, 0] < low) | (self.boxes[:, 1] > high)).any(1)
+        refuse(outside, "instance {} is outside its leaf's box")
+
+
+def build_tlas(boxes: F32 | F64, threads: int | None = None) -> Tlas:
+    """The tree over instances by SAH. boxes: (I, 2, 3) world boxes relative to any origin; metres.
+
+    They are padded by 5e-7 of the largest |coordinate| and rounded outward, like those of a Blas. Raises GeometryError
+    where there is no instance, or a box is empty, not finite or past 1e30; it names the instance.
+    """
+    started = time.perf_counter()
+    boxes = np.ascontiguousarray(boxes, np.float64).reshape(-1, 2, 3)
+    if not len(boxes):
+        raise GeometryError("no instance to build a tree from")
+    if len(boxes) >= MAX_SLOTS:
+        raise GeometryError(f"{len(boxes)} instances, the limit is {MAX_SLOTS} (2^27); merge some meshes")
+    good = (np.abs(boxes) <= MAX_EXTENT).all((1, 2)) & (boxes[:, 0] <= boxes[:, 1]).all(1)
+    if not good.all():
+        bad = int(np.argmin(good))
+        low, high = boxes[bad].tolist()
+        raise GeometryError(f"instance {bad}: its box {low} to {high} is empty, not finite or past {MAX_EXTENT:g}")
+    low, high = boxes[:, 0].min(0), boxes[:, 1].max(0)
+    pad = PAD * float(np.maximum(np.abs(low), np.abs(high)).max())
+    grid = make_grid(low, high, pad)
+    fragments = box_fragments(boxes[:, 0] - pad, boxes[:, 1] + pad, *grid)
+    if len(boxes) <= SMALL:
+        tree = grow_small(fragments, grid[1], max_leaf=1)
+    else:
+        from glhybrid.bvh import build
+
+        workers = threads_available() if threads is None else threads
+        tree = build.grow_tree(fragments, build.centroid_bounds(fragments), grid[1], 1, workers)
+    refs = tree.nodes[:, 3::4]
+    leaf = (refs > LEAF) & (refs & 15 > 0)
+    refs[leaf] = LEAF | identity(fragments)[(refs[leaf] & 0x7FFFFFFF) >> 4] << 4 | 1
+    return Tlas(tree.nodes, *grid, boxes, tree.depth, tree.cost, 1e3 * (time.perf_counter() - started))

@@ -1,0 +1,55 @@
+"""Numba, used in one place: where compiled kernels are kept and how a kernel is declared.
+
+Kernels state their signature, so they compile when their module is imported, once per machine and source version, and
+load from the cache afterwards (milliseconds). The cache folder is NUMBA_CACHE_DIR if set, else `numba` under
+`cache_dir()`. Chosen over Numba's default, `__pycache__` beside the source, because that is often read-only or shared;
+where no folder is writable the kernels still work and compile anew in each process.
+"""
+
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+
+def cache_dir() -> Path:
+    """Where glhybrid keeps what it can make again: GLHYBRID_CACHE, XDG_CACHE_HOME/glhybrid or ~/.cache/glhybrid."""
+    if given := os.environ.get("GLHYBRID_CACHE"):
+        return Path(given).expanduser()
+    base = os.environ.get("XDG_CACHE_HOME")
+    try:
+        return (Path(base) if base else Path.home() / ".cache") / "glhybrid"
+    except RuntimeError:  # no home folder at all
+        return Path(tempfile.gettempdir()) / "glhybrid"
+
+
+def _writable(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+def kernel(signature: Any, **options: Any) -> Callable[[Any], Any]:
+    """`numba.njit` for that signature, without the GIL, cached on disk where a folder is writable."""
+    import numba
+    from numba.core import config as numba_config
+
+    config: Any = numba_config
+
+    def compile_now(function: Any) -> Any:
+        folder = Path(config.CACHE_DIR) if config.CACHE_DIR else cache_dir() / "numba"
+        cached = _writable(folder)
+        before, config.CACHE_DIR = (
+            config.CACHE_DIR,
+            str(folder),
+        )  # read while the kernel is declared; others keep theirs
+        try:
+            return numba.njit(signature, nogil=True, cache=cached, error_model="numpy", **options)(function)
+        finally:
+            config.CACHE_DIR = before
+
+    return compile_now
