@@ -117,7 +117,7 @@ class Frame:
         return self.arrays[name]
 
     def save(self, path: str | Path, aov: Iterable[str] | None = None, exr_float: bool = False) -> list[str]:
-        """Writes .png, .exr or .npz by suffix; `-` is PNG to standard output. aov: which AOVs, all there are by default.
+        """Writes .png, .exr or .npz by suffix; `-` is PNG to standard output. aov: which AOVs; None = all.
 
         Returns what was lost in writing, one sentence each; it is logged and added to the receipt's `warnings` too.
         Raises OutputError where it cannot be written, SettingError for an AOV that the frame or the format lacks.

@@ -1,0 +1,251 @@
+"""The command line: `glhybrid render | plan | scenes | doctor`.
+
+Exit codes: 0 done; 2 bad input or usage; 3 no usable OpenGL; 130 interrupted. A user's mistake is one line on stderr,
+never a traceback. Results go to stdout, everything else to stderr. Nothing heavy is imported before a verb runs.
+"""
+
+import json
+import re
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import App, CycloptsError, Parameter
+
+from glhybrid import __version__, console
+from glhybrid.errors import GlhybridError, SettingError
+
+if TYPE_CHECKING:
+    from glhybrid.scene import Scene
+    from glhybrid.settings import Settings
+
+MAX_SIDE = 32768
+USAGE_ERROR, INTERRUPTED = 2, 130
+
+app = App(
+    name="glhybrid",
+    help="A hybrid renderer: OpenGL rasterises, compute shaders trace shadows and reflections, on any OpenGL 4.3.",
+    version=__version__,
+    default_parameter=Parameter(negative=(), show_default=False),
+    result_action="return_value",
+    print_error=False,
+    exit_on_error=False,
+    suppress_keyboard_interrupt=False,
+    help_format="plaintext",
+)
+
+SceneName = Annotated[
+    str, Parameter(help="glTF, GLB, OBJ, PLY, STL or OFF file, a scene TOML, or a built-in scene's name (see scenes).")
+]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Common:
+    """Flags of every verb that takes a scene."""
+
+    device: Annotated[
+        str,
+        Parameter(help="auto, gpu, software, egl:N, cuda:N or osmesa. auto, the default, takes a GPU if there is one."),
+    ] = "auto"
+    size: Annotated[str, Parameter(help="Pixels, WxH; 1280x720.")] = "1280x720"
+    camera: Annotated[
+        str | None, Parameter(help="Name or index of a camera of the scene; its first one by default.")
+    ] = None
+    shadows: Annotated[str | None, Parameter(help="Shadow technique: none or ray (the default).")] = None
+    reflections: Annotated[
+        str | None, Parameter(help="Reflection technique: none, env, ray-lerp (the default) or reference.")
+    ] = None
+    samples: Annotated[int | None, Parameter(help="Paths or rays per pixel of stochastic techniques; 64.")] = None
+    bounces: Annotated[int | None, Parameter(help="Bounces after the first hit in reference; 8.")] = None
+    aa: Annotated[int | None, Parameter(help="Jittered frames averaged; 4 for PNG, 1 for EXR and NPZ.")] = None
+    set: Annotated[
+        tuple[str, ...],
+        Parameter(name="--set", help="key=value of any setting; may be repeated.", consume_multiple=False),
+    ] = ()
+    config: Annotated[str | None, Parameter(help="TOML file of settings; flags and --set win over it.")] = None
+    strict: Annotated[bool, Parameter(help="Anything of the file that cannot be drawn is an error.")] = False
+    allow_outside: Annotated[bool, Parameter(help="Let a scene use files outside its folder.")] = False
+    json: Annotated[bool, Parameter(help="Print the result as one JSON object.")] = False
+    quiet: Annotated[bool, Parameter(help="No messages but errors.")] = False
+
+    def settings(self) -> "Settings":
+        """Defaults, then --config, then flags, then --set."""
+        from glhybrid.settings import Settings
+
+        settings = Settings().with_toml(self.config) if self.config is not None else Settings()
+        flags = {name: getattr(self, name) for name in ("shadows", "reflections", "samples", "bounces", "aa")}
+        settings = settings.replace(**{name: value for name, value in flags.items() if value is not None})
+        return settings.with_overrides(self.set)
+
+    def pixels(self) -> tuple[int, int]:
+        match = re.fullmatch(r"(\d{1,6})[xX](\d{1,6})", self.size.strip())
+        if match is None:
+            raise SettingError(f'--size "{self.size}": expected WIDTHxHEIGHT in pixels, such as 1280x720')
+        width, height = int(match[1]), int(match[2])
+        if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+            raise SettingError(f"--size {self.size}: each side must be from 1 to {MAX_SIDE} pixels")
+        return width, height
+
+    def camera_key(self) -> int | str | None:
+        text = self.camera
+        return int(text) if text is not None and text.isdecimal() else text
+
+    def load(self, scene: str) -> "Scene":
+        import glhybrid
+
+        return glhybrid.load(scene, strict=self.strict, allow_outside=self.allow_outside)
+
+
+@app.command
+def render(
+    scene: SceneName,
+    /,
+    *,
+    output: Annotated[
+        str | None,
+        Parameter(
+            name=["--output", "-o"],
+            help=".png, .exr or .npz file, - for PNG to stdout; NAME.png by default.",
+            allow_leading_hyphen=True,
+        ),
+    ] = None,
+    aov: Annotated[str, Parameter(help="Layers of an EXR or arrays of an NPZ: depth,normal,...")] = "",
+    exr_float: Annotated[bool, Parameter(help="32-bit colour in EXR instead of half.")] = False,
+    common: Common = Common(),
+) -> int:
+    """Render a picture."""
+    from glhybrid.image import check_aovs, check_output
+
+    # Everything that can be refused is refused before any work is done.
+    settings, size, path = common.settings(), common.pixels(), output or f"{_stem(scene)}.png"
+    aovs = check_aovs(name.strip() for name in aov.split(",") if name.strip())
+    suffix = check_output(path, aovs)
+    if path == "-" and common.json:
+        raise SettingError("-o - and --json both want standard output: give the picture a file name")
+    data = suffix != ".png"
+    with console.progress(not (common.quiet or common.json)) as progress:
+        progress(f"loading {scene}", 0, 0)
+        loaded = common.load(scene)
+        _say_warnings(loaded.warnings)
+        from glhybrid.renderer import Renderer
+
+        with Renderer(device=common.device) as renderer:
+            frame = renderer.render(
+                loaded,
+                camera=common.camera_key(),
+                size=size,
+                settings=settings.replace(aa=settings.aa_frames(data)),
+                aovs=("radiance", *(a for a in aovs if a != "radiance")) if data else (),
+                progress=progress,
+            )
+        progress(f"writing {path}", 0, 0)
+        frame.save(path, aov=aovs, exr_float=exr_float)
+    receipt: dict[str, Any] = {"output": str(path)} | frame.receipt
+    if common.json:
+        _print_json(receipt)
+    elif not common.quiet:
+        print(_summary(receipt, size), file=sys.stderr if path == "-" else sys.stdout)
+    return 0
+
+
+@app.command
+def plan(scene: SceneName, /, *, common: Common = Common()) -> int:
+    """Show what a scene needs and what will run, with reasons."""
+    settings, size = common.settings(), common.pixels()
+    loaded = common.load(scene)
+    _say_warnings(loaded.warnings)
+    from glhybrid.plan import describe
+
+    result = describe(loaded, settings, size)
+    if common.json:
+        _print_json(result)
+    else:
+        console.tree(result)
+    return 0
+
+
+@app.command
+def scenes(*, json: Annotated[bool, Parameter(help="Print a JSON array.")] = False) -> int:
+    """List the built-in scenes."""
+    from glhybrid.load.builtin import scenes as builtin_scenes
+
+    found = builtin_scenes()
+    if json:
+        _print_json([{"name": s.name, "description": s.description, "path": str(s.path)} for s in found])
+    else:
+        width = max((len(s.name) for s in found), default=0)
+        for s in found:
+            print(f"{s.name:<{width}}  {s.description}")
+    return 0
+
+
+@app.command
+def doctor(*, json: Annotated[bool, Parameter(help="Print the report as one JSON object.")] = False) -> int:
+    """Look at devices, drivers and libraries, and say what mends what is missing."""
+    from glhybrid import doctor as checkup
+
+    report = checkup.examine()
+    if json:
+        _print_json(report.to_dict())
+    else:
+        checkup.show(report)
+    return 0 if report.usable else 3
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs the command line; returns the exit code."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    console.start_log(quiet="--quiet" in arguments)
+    try:
+        return int(app(arguments) or 0)
+    except CycloptsError as error:
+        console.error(f"{str(error).rstrip('.')}; see glhybrid --help")
+        return USAGE_ERROR
+    except GlhybridError as error:
+        console.error(error)
+        return error.exit_code
+    except KeyboardInterrupt:
+        console.error("interrupted")
+        return INTERRUPTED
+    except BrokenPipeError:  # the reader of stdout left, as `| head` does
+        sys.stderr.close()
+        return 0
+
+
+def _stem(scene: str) -> str:
+    return Path(scene).stem or "out"
+
+
+def _say_warnings(warnings: Sequence[str], most: int = 5) -> None:
+    import logging
+
+    log = logging.getLogger("glhybrid")
+    for warning in warnings[:most]:
+        log.warning("%s", warning)
+    if len(warnings) > most:
+        log.warning("and %d more; --json lists them all", len(warnings) - most)
+
+
+def _summary(receipt: dict[str, Any], size: tuple[int, int]) -> str:
+    device, scene = receipt.get("device", {}), receipt.get("scene", {})
+    name = str(device.get("renderer", "")) + (" (software)" if device.get("software") else "")
+    triangles, frame_ms = scene.get("triangles", 0), receipt.get("frame_ms", 0.0)
+    return f"{receipt['output']}: {size[0]}x{size[1]}, {triangles:,} triangles, {frame_ms:.1f} ms a frame on {name}"
+
+
+def _print_json(value: Any) -> None:
+    print(json.dumps(value, indent=2, default=_plain))
+
+
+def _plain(value: Any) -> Any:
+    """NumPy scalars and arrays, paths and sets as JSON has them."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    return sorted(value) if isinstance(value, (set, frozenset)) else str(value)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

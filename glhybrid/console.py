@@ -1,0 +1,131 @@
+"""What the command line says while it works: log lines, progress, tables. Everything but results goes to stderr."""
+
+import contextlib
+import logging
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+PATIENCE_S = 1.0  # work that takes longer shows its progress
+Progress = Callable[[str, int, int], None]
+
+
+def error(message: object) -> None:
+    """One line on stderr."""
+    print(f"glhybrid: error: {' '.join(str(message).split())}", file=sys.stderr)
+
+
+class _Lines(logging.Handler):
+    """Log records as plain lines on stderr, also while a progress bar is drawn (rich redirects sys.stderr then)."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        level = "" if record.levelno < logging.WARNING else f"{record.levelname.lower()}: "
+        print(f"glhybrid: {level}{record.getMessage()}", file=sys.stderr)
+
+
+def start_log(quiet: bool) -> None:
+    """Shows the log of glhybrid on stderr: from INFO, or only errors."""
+    logger = logging.getLogger("glhybrid")
+    logger.handlers = [_Lines()]
+    logger.propagate = False
+    logger.setLevel(logging.ERROR if quiet else logging.INFO)
+
+
+@contextlib.contextmanager
+def progress(shown: bool) -> Iterator[Progress]:
+    """A callback `(stage, done, total)` that draws a bar on stderr once work has gone on for PATIENCE_S.
+
+    total 0 = unknown. Draws nothing where `shown` is false or stderr is no terminal.
+    """
+    if not shown or not sys.stderr.isatty():
+        yield lambda stage, done, total: None
+        return
+    bar: Any = None
+    task: Any = None
+    began = time.monotonic()
+
+    def show(stage: str, done: int, total: int) -> None:
+        nonlocal bar, task
+        if bar is None:
+            if time.monotonic() - began < PATIENCE_S:
+                return
+            bar, task = _bar(stage)
+        bar.update(task, description=stage, completed=done, total=total or None)
+
+    try:
+        yield show
+    finally:
+        if bar is not None:
+            bar.stop()
+
+
+def _bar(stage: str) -> tuple[Any, Any]:
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
+    bar.start()
+    return bar, bar.add_task(stage, total=None)
+
+
+def table(columns: Sequence[str], rows: Sequence[Sequence[object]], title: str = "") -> None:
+    """A table on stdout: with lines on a terminal, plain columns that never wrap elsewhere."""
+    from rich.box import ROUNDED
+    from rich.console import Console
+    from rich.table import Table
+
+    terminal = sys.stdout.isatty()
+    grid = Table(title=title or None, title_justify="left", box=ROUNDED if terminal else None, pad_edge=terminal)
+    grid.show_header = any(columns)
+    for column in columns:
+        grid.add_column(column, no_wrap=not terminal)
+    for row in rows:
+        grid.add_row(*(_cell(value) for value in row))
+    Console(width=None if terminal else 1000, highlight=False).print(grid)
+
+
+def _cell(value: object) -> str:
+    from rich.markup import escape
+
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, (list, tuple)):
+        return escape(", ".join(str(v) for v in value))
+    return escape("" if value is None else str(value))
+
+
+def tree(values: Mapping[str, Any]) -> None:
+    """A nested result for people: lists of records as tables, records as two columns, the rest line by line."""
+    plain = {key: value for key, value in values.items() if not _is_nested(value)}
+    if plain:
+        table(("", ""), list(plain.items()))
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            table((key, ""), list(value.items()))
+        elif _is_nested(value):
+            columns = list(dict.fromkeys(name for row in value for name in row))
+            table([f"{key}: {columns[0]}", *columns[1:]], [[row.get(c) for c in columns] for row in value])
+
+
+def _is_nested(value: object) -> bool:
+    if isinstance(value, Mapping):
+        return bool(value)
+    return isinstance(value, (list, tuple)) and bool(value) and all(isinstance(v, Mapping) for v in value)
