@@ -27,7 +27,7 @@ def data_folder(kind: Literal["glsl", "scenes"]) -> Path:
 
 
 def scenes() -> list[BuiltinScene]:
-    """The built-in scenes by name: every TOML in scenes/ that has a `description`, which is what `glhybrid scenes` lists.
+    """The built-in scenes by name, for `glhybrid scenes`: every TOML in scenes/ that has a `description`.
 
     Scenes without a description are there for tests; they load by name as well.
     """

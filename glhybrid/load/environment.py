@@ -109,7 +109,7 @@ def _text(value: bytes) -> str:
 
 
 def _scanlines(path: Path, data: bytes, at: int, lines: int, length: int) -> U8:
-    """(lines, length, 4) uint8: scanlines in new run-length code, old run-length code or none, told apart line by line."""
+    """(lines, length, 4) uint8: scanlines in new run-length code, old one or none, told apart line by line."""
     out = np.empty((lines, length, 4), np.uint8)
     for i in range(lines):
         head = data[at : at + 4]
@@ -147,7 +147,7 @@ def _new_rle(path: Path, data: bytes, at: int, length: int, line: int, lines: in
 
 
 def _old_rle(path: Path, data: bytes, at: int, row: U8, line: int, lines: int) -> int:
-    """Plain pixels; (1, 1, 1, n) repeats the pixel before it n times, shifted by 8 bits for each that follows another."""
+    """Plain pixels; (1, 1, 1, n) repeats the pixel before it n times, n shifted 8 bits for each code before it."""
     length = len(row)
     raw = np.frombuffer(data, np.uint8, min(4 * length, (len(data) - at) // 4 * 4), at).reshape(-1, 4)
     if len(raw) == length and not (raw[:, :3] == 1).all(axis=1).any():  # no code in it: flat

@@ -100,7 +100,9 @@ def _sky_facing_north(elevation: float, turbidity: float, ground: tuple[float, f
     irradiance = (upper * (np.sin(rows) * solid_angle)[:, None, None]).sum((0, 1))
     irradiance += _sun_at_eye(elevation, turbidity) * max(np.sin(elevation), 0.0)
     land = np.asarray(ground) * irradiance / np.pi
-    air = np.exp(row_elevation[~above] / np.radians(3))[:, None, None]  # 3 degrees: a soft edge, no streak under the sun
+    air = np.exp(row_elevation[~above] / np.radians(3))[
+        :, None, None
+    ]  # 3 degrees: a soft edge, no streak under the sun
     sky[~above] = land * (1 - air) + sky[above][-1] * air
     return sky.astype(np.float32)
 

@@ -126,7 +126,9 @@ class Table:
 
     def _number(self, value: Any, key: str, check: tuple[Check, str]) -> float:
         if type(value) not in (int, float):
-            self.fail(f"must be made of numbers, not {_shown(value)}" if isinstance(value, str) else "not a number", key)
+            self.fail(
+                f"must be made of numbers, not {_shown(value)}" if isinstance(value, str) else "not a number", key
+            )
         try:
             number = float(value)
         except OverflowError:

@@ -1,0 +1,26 @@
+"""Range checks of shape and pattern parameters; the scene file puts its own place in front of the message."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from glhybrid.errors import LoadError
+
+
+class ShapeError(LoadError):
+    """A parameter of a shape or pattern that is unknown or out of range."""
+
+    def __init__(self, key: str, value: object, message: str) -> None:
+        super().__init__(f"{key} = {value!r}: {message}")
+
+
+def positive(**values: float | Sequence[float]) -> None:
+    for key, value in values.items():
+        if not (np.isfinite(value).all() and (np.asarray(value) > 0).all()):
+            raise ShapeError(key, value, "must be greater than 0")
+
+
+def counts(high: int, low: int = 1, **values: int | Sequence[int]) -> None:
+    for key, value in values.items():
+        if not all(low <= n <= high for n in np.atleast_1d(value)):
+            raise ShapeError(key, value, f"must be between {low} and {high}")
