@@ -1,0 +1,173 @@
+"""Built trees on disk, found by the content they were built from. A file that is damaged, cut short, foreign or of
+another version is rebuilt, never trusted; a folder that cannot be written is no error.
+
+File: MAGIC, length and CRC-32 of a JSON header, the header, then nodes and slots as they lie in memory. The header
+repeats the key and holds a CRC-32 of every 4 MiB. Chosen over .npz, whose reading costs three times as much, and over a
+memory map, which would let a later truncation of the file kill the process.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+import struct
+import tempfile
+import time
+import zlib
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from glhybrid.bvh.blas import SMALL, Blas, build_blas, threads_available
+from glhybrid.jit import cache_dir
+from glhybrid.scene import F32, U32
+
+MAGIC = b"glhBLAS\n"
+VERSION = 1  # of the file, the node and slot format and the builder: a new one makes all files old
+CHUNK = 4 << 20
+LIMIT_BYTES = 2 << 30
+STALE_SECONDS = 3600  # a temporary file this old was left by a process that died
+_PREFIX = struct.Struct("<8sII")
+
+
+def load_or_build(
+    position: F32,
+    triangle: U32 | None = None,
+    geometry: U32 | None = None,
+    spheres: F32 | None = None,
+    sphere_triangle: U32 | None = None,
+    sphere_geometry: U32 | None = None,
+    max_leaf: int = 4,
+    threads: int | None = None,
+    folder: Path | None = None,
+) -> Blas:
+    """`build_blas`, or the equal tree from the cache. build_ms is then the time of loading it.
+
+    folder: default `bvh` under `cache_dir()`. GLHYBRID_CACHE=off keeps nothing. Small trees are not worth a file.
+    """
+    started = time.perf_counter()
+    given = (position, triangle, geometry, spheres, sphere_triangle, sphere_geometry)
+    if folder is None and os.environ.get("GLHYBRID_CACHE") != "off":
+        folder = cache_dir() / "bvh"
+    if folder is None or len(position) <= SMALL:
+        return build_blas(*given, max_leaf=max_leaf, threads=threads)
+    workers = threads_available() if threads is None else threads
+    key = content_key(given, {"max_leaf": max_leaf}, workers)
+    path = folder / f"{key}.blas"
+    blas = read(path, key, started, workers)
+    if blas is None:
+        blas = build_blas(*given, max_leaf=max_leaf, threads=threads)
+        write(path, key, blas, workers)
+    return blas
+
+
+def _each(function: Callable[[memoryview], Any], arrays: Iterable[np.ndarray], threads: int) -> list[Any]:
+    """function of every 4 MiB of the arrays' bytes, in order; hashing leaves the GIL, so threads help."""
+    views = [a.data.cast("B") for a in arrays if a.size]
+    chunks = [view[i : i + CHUNK] for view in views for i in range(0, len(view), CHUNK)]
+    if threads == 1 or len(chunks) < 4:
+        return [function(chunk) for chunk in chunks]
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(function, chunks))
+
+
+def content_key(arrays: Iterable[np.ndarray | None], parameters: dict[str, Any], threads: int = 1) -> str:
+    """BLAKE2b of shapes, parameters, versions and of the digests of every 4 MiB of the arrays."""
+    present = [None if a is None else np.ascontiguousarray(a) for a in arrays]
+    shapes = [None if a is None else [a.dtype.str, *a.shape] for a in present]
+    digests = _each(
+        lambda chunk: hashlib.blake2b(chunk, digest_size=20).digest(), [a for a in present if a is not None], threads
+    )
+    about = json.dumps([VERSION, shapes, parameters], sort_keys=True).encode()
+    return hashlib.blake2b(about + b"".join(digests), digest_size=20).hexdigest()
+
+
+def read(path: Path, key: str, started: float, threads: int = 1) -> Blas | None:
+    """The tree in that file, or None unless the file is whole and made for that key."""
+    try:
+        with open(path, "rb") as file:
+            magic, length, check = _PREFIX.unpack(file.read(_PREFIX.size))
+            text = file.read(length) if length < CHUNK else b""
+            if magic != MAGIC or zlib.crc32(text) != check:
+                return None
+            header = json.loads(text)
+            if header["version"] != VERSION or header["key"] != key:
+                return None
+            rows = header["nodes"], header["slots"]
+            if os.fstat(file.fileno()).st_size != file.tell() + 4 * (8 * rows[0] + 12 * rows[1]):
+                return None
+            nodes, slots = np.empty((rows[0], 8), np.uint32), np.empty((rows[1], 12), np.uint32)
+            for array in (nodes, slots):
+                if file.readinto(array.data.cast("B")) != array.nbytes:
+                    return None
+        if _each(zlib.crc32, (nodes, slots), threads) != header["crc32"]:
+            return None
+        blas = Blas(
+            nodes=nodes,
+            slots=slots,
+            grid_min=np.array(header["grid_min"], np.float32),
+            grid_step=np.array(header["grid_step"], np.float32),
+            bounds=np.array(header["bounds"], np.float64),
+            depth=header["depth"],
+            sah_cost=header["sah_cost"],
+            build_ms=1e3 * (time.perf_counter() - started),
+        )
+    except (OSError, ValueError, KeyError, TypeError, struct.error):
+        return None
+    with contextlib.suppress(OSError):
+        os.utime(path)  # the oldest go first
+    return blas
+
+
+def write(path: Path, key: str, blas: Blas, threads: int = 1) -> None:
+    """Keep a tree: written beside its place, then renamed, so that no reader ever sees half a file."""
+    header = {
+        "version": VERSION,
+        "key": key,
+        "nodes": len(blas.nodes),
+        "slots": len(blas.slots),
+        "crc32": _each(zlib.crc32, (blas.nodes, blas.slots), threads),
+        "grid_min": blas.grid_min.tolist(),
+        "grid_step": blas.grid_step.tolist(),
+        "bounds": blas.bounds.tolist(),
+        "depth": blas.depth,
+        "sah_cost": blas.sah_cost,
+    }
+    text = json.dumps(header).encode()
+    temporary = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
+            temporary = Path(file.name)
+            file.write(_PREFIX.pack(MAGIC, len(text), zlib.crc32(text)) + text)
+            file.write(blas.nodes.data.cast("B"))
+            file.write(blas.slots.data.cast("B"))
+        os.replace(temporary, path)
+        trim(path.parent, keep=path)
+    except OSError:  # read-only, full or not ours: the tree is there, only the next start is slower
+        if temporary is not None:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+
+
+def trim(folder: Path, keep: Path | None = None, limit: int = LIMIT_BYTES) -> None:
+    """Delete the trees used longest ago until the folder is within the limit, and what dead processes left."""
+    trees: list[tuple[float, int, Path]] = []
+    for entry in folder.iterdir():
+        with contextlib.suppress(OSError):
+            state = entry.stat()
+            if entry.suffix == ".blas":
+                trees.append((state.st_mtime, state.st_size, entry))
+            elif entry.suffix == ".part" and time.time() - state.st_mtime > STALE_SECONDS:
+                entry.unlink()
+    total = sum(size for _, size, _ in trees)
+    for _, size, path in sorted(trees, key=lambda tree: tree[0]):
+        if total <= limit:
+            break
+        if path != keep:
+            with contextlib.suppress(OSError):
+                path.unlink()
+                total -= size
