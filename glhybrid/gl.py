@@ -27,6 +27,7 @@ GL_TEXTURE0, GL_TEXTURE_2D, GL_TEXTURE_BUFFER, GL_TEXTURE_BINDING_2D = 0x84C0, 0
 GL_ACTIVE_TEXTURE = 0x84E0
 GL_R32UI, GL_RG32UI, GL_RGBA32UI, GL_R32F, GL_RG32F, GL_RGBA32F = 0x8236, 0x823C, 0x8D70, 0x822E, 0x8230, 0x8814
 GL_DEPTH_COMPONENT, GL_DEPTH_COMPONENT32F, GL_FLOAT = 0x1902, 0x8CAC, 0x1406
+GL_COLOR, GL_DEPTH = 0x1800, 0x1801
 GL_BUFFER, GL_SHADER, GL_PROGRAM, GL_QUERY, GL_TEXTURE = 0x82E0, 0x82E1, 0x82E2, 0x82E3, 0x1702
 GL_FRAMEBUFFER, GL_RENDERBUFFER, GL_VERTEX_ARRAY, GL_SAMPLER = 0x8D40, 0x8D41, 0x8074, 0x82E6
 GL_TIMESTAMP, GL_QUERY_RESULT, GL_QUERY_RESULT_AVAILABLE = 0x8E28, 0x8866, 0x8867
@@ -56,6 +57,8 @@ _UINTS, _INTS = POINTER(c_uint), POINTER(c_int)
 _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "glActiveTexture": (None, (_ENUM,)),
     "glBindTexture": (None, (_ENUM, _UINT)),
+    "glClearBufferfv": (None, (_ENUM, _INT, POINTER(c_float))),
+    "glClearBufferuiv": (None, (_ENUM, _INT, _UINTS)),
     "glClipControl": (None, (_ENUM, _ENUM)),  # 4.5 or ARB_clip_control
     "glDeleteQueries": (None, (_SIZE, _UINTS)),
     "glDeleteTextures": (None, (_SIZE, _UINTS)),
@@ -148,6 +151,11 @@ class GL:
     def set_depth_zero_to_one(self) -> None:
         """Clip space depth from 0 to 1, as reversed Z with a float target needs; row 0 stays at the bottom."""
         self.glClipControl(GL_LOWER_LEFT, GL_ZERO_TO_ONE)
+
+    def clear_ids(self, value: int) -> None:
+        """Clears the bound framebuffer: every channel of its integer target to value, depth to 0 (far, reversed)."""
+        self.glClearBufferuiv(GL_COLOR, 0, (c_uint * 4)(value, value, value, value))
+        self.glClearBufferfv(GL_DEPTH, 0, (c_float * 1)(0.0))
 
     def depth32f(self, ctx: "moderngl.Context", size: tuple[int, int]) -> "moderngl.Texture":
         """A depth texture of 32-bit floats, (W, H), ready to be a moderngl depth_attachment; sampling gives raw depth.

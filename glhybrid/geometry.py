@@ -1,0 +1,343 @@
+"""Scene -> Geometry: the arrays that raster and rays both read, hit-group records, and a tree per mesh.
+
+Two levels: one mesh, one Blas, any number of instances. One level: a static scene whose meshes are not repeated is
+flattened into one mesh in world space (relative to its own centre, so that float32 is spent on the scene, not on where
+it lies): no top-level tree, no change of space in the middle of a ray.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from glhybrid import layout
+from glhybrid.bvh import Blas
+from glhybrid.bvh import build_blas as load_or_build
+from glhybrid.errors import GeometryError
+from glhybrid.scene import F32, F64, U32, Material, Mesh, Scene, Sphere, Triangles
+
+FLATTEN_GROWTH = 1.25  # triangles after flattening / before: above it, instances save more than one level gains
+FLATTEN_RATIO = 1e-4  # smallest instance / scene: below it, float32 about the scene's centre would bend its shape
+
+
+@dataclass(frozen=True, eq=False)
+class MeshData:
+    """One mesh in the shared arrays."""
+
+    first_triangle: int
+    geometries: tuple[tuple[int, int], ...]  # first triangle and count, by geometry
+    blas: Blas
+    spheres: tuple[tuple[int, int, F32], ...] = ()  # row of triangles, geometry, centre and radius
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """What is traced and drawn. Rows of `triangles` are the ids that hits carry.
+
+    vertices (V, 8) float32: position, u; normal, v (a sphere: centre, 0; radius, 0, 0, 0). triangles (T, 4) uint32: three
+    rows of vertices, geometry. tangents (V, 4) float32, attributes (V, 4) uint32 (second UV, colour as halves) or None.
+    Instances: mesh (I,), world_from_object (I, 4, 4) float64, scene_id (I,), first_record (I,).
+    """
+
+    levels: int
+    vertices: F32
+    triangles: U32
+    tangents: F32 | None
+    attributes: U32 | None
+    meshes: tuple[MeshData, ...]
+    instance_mesh: U32
+    world_from_object: F64
+    instance_id: U32
+    first_record: U32
+    records: U32  # (R, 2): hit group, scene instance
+    hit_groups: U32  # (G, 4): columns of layout HitGroup
+    materials: tuple[Material, ...]  # those in use
+    material_index: U32  # (M,): their rows in Scene.materials
+    source_triangle: U32  # (T,): triangle within its scene mesh, primitives in order
+    dropped: int
+    why_levels: str
+
+    @property
+    def nodes(self) -> int:
+        return sum(len(m.blas.nodes) for m in self.meshes)
+
+
+def choose_levels(scene: Scene, asked: int | str) -> tuple[int, str]:
+    """How many levels of trees, and why."""
+    if asked in (1, 2):
+        if asked == 1 and (odd := [i for i in scene.instances if not _flattenable(scene, i.mesh, i.world_from_object)]):
+            return 2, f'instance "{odd[0].name}" is a sphere under a non-uniform scale'
+        return int(asked), "asked for"
+    if not scene.instances:
+        return 1, "nothing is drawn"
+    counts = [sum(len(p.index) if isinstance(p, Triangles) else 1 for p in m.primitives) for m in scene.meshes]
+    drawn = sum(counts[i.mesh] for i in scene.instances)
+    stored = sum(counts[i] for i in {i.mesh for i in scene.instances})
+    if drawn > FLATTEN_GROWTH * stored:
+        return 2, f"meshes are repeated: {drawn} triangles drawn from {stored} stored"
+    if any(not _flattenable(scene, i.mesh, i.world_from_object) for i in scene.instances):
+        return 2, "a sphere stands under a non-uniform scale"
+    extent = float(np.linalg.norm(np.diff(scene.bounds(), axis=0)))
+    sizes = [np.linalg.norm(np.diff(scene.replace(instances=(i,)).bounds(), axis=0)) for i in scene.instances[:4096]]
+    smallest = float(min((s for s in sizes if s > 0), default=extent))
+    if smallest < FLATTEN_RATIO * extent:
+        return 2, f"the smallest object is {smallest / extent:.1e} of the scene"
+    return 1, "no mesh is repeated"
+
+
+def _flattenable(scene: Scene, mesh: int, world_from_object: F64) -> bool:
+    if not any(isinstance(p, Sphere) for p in scene.meshes[mesh].primitives):
+        return True
+    gram = world_from_object[:3, :3].T @ world_from_object[:3, :3]
+    return bool(np.allclose(gram, np.eye(3) * gram[0, 0], rtol=0, atol=1e-6 * gram[0, 0]))
+
+
+def build(scene: Scene, levels: int | str = "auto", *, tangents: bool = True, attributes: bool = True) -> Geometry:
+    """Arrays, records and trees of a scene. Triangles with a non-finite vertex or without area are dropped and counted."""
+    chosen, why = choose_levels(scene, levels)
+    builder = _Builder(scene, tangents, attributes)
+    if chosen == 1:
+        builder.flatten()
+    else:
+        builder.keep_instances()
+    return builder.finish(chosen, why)
+
+
+class _Builder:
+    """Collects pieces in order; `finish` concatenates them once."""
+
+    def __init__(self, scene: Scene, tangents: bool, attributes: bool) -> None:
+        self.scene = scene
+        self.with_tangents, self.with_attributes = tangents, attributes
+        self.vertices: list[F32] = []
+        self.tangents: list[F32] = []
+        self.attributes: list[U32] = []
+        self.triangles: list[U32] = []
+        self.sources: list[U32] = []
+        self.vertex_count = self.triangle_count = self.dropped = 0
+        self.meshes: list[MeshData] = []
+        self.instance_mesh: list[int] = []
+        self.placements: list[F64] = []
+        self.instance_id: list[int] = []
+        self.first_record: list[int] = []
+        self.records: list[tuple[int, int]] = []
+        self.groups: dict[tuple[int, int, int, int], int] = {}
+        self.material_rows: dict[int, int] = {}
+
+    def hit_group(self, primitive: Triangles | Sphere, material_index: int) -> int:
+        """Row of the record's hit group: equal combinations share it."""
+        material = self.scene.materials[material_index]
+        row = self.material_rows.setdefault(material_index, len(self.material_rows))
+        kind = layout.CONSTANTS["KIND_SPHERE" if isinstance(primitive, Sphere) else "KIND_TRIANGLE"]
+        key = (kind, row, any_hit(material), int(not material.double_sided))
+        return self.groups.setdefault(key, len(self.groups))
+
+    def add_piece(self, mesh: Mesh, k: int, geometry: int, to_mesh: F64 | None) -> tuple[int, int]:
+        """Appends primitive k of a mesh, moved by to_mesh; returns its rows of triangles."""
+        piece = mesh.primitives[k]
+        assert isinstance(piece, Triangles)
+        position, normal, tangent = piece.position, piece.normal, piece.tangent
+        index = piece.index
+        if to_mesh is not None:
+            linear = to_mesh[:3, :3]
+            position = (position.astype(np.float64) @ linear.T + to_mesh[:3, 3]).astype(np.float32)
+            normal = _unit(normal @ np.linalg.inv(linear).astype(np.float32))
+            mirrored = np.linalg.det(linear) < 0
+            if tangent is not None:
+                direction = _unit(tangent[:, :3] @ linear.T.astype(np.float32))
+                tangent = np.concatenate([direction, tangent[:, 3:] * (-1 if mirrored else 1)], axis=1, dtype=np.float32)
+            if mirrored:
+                index = index[:, ::-1]  # front faces stay counter-clockwise
+        keep = solid(position, index)
+        self.dropped += int(len(index) - keep.sum())
+        before = sum(len(p.index) if isinstance(p, Triangles) else 1 for p in mesh.primitives[:k])
+        self.sources.append(np.flatnonzero(keep).astype(np.uint32) + np.uint32(before))
+        if not keep.all():
+            index = index[keep]
+            finite = np.isfinite(position).all(1, keepdims=True)
+            position = np.where(finite, position, 0)
+        count = len(position)
+        uv0 = piece.uv0 if piece.uv0 is not None else np.zeros((count, 2), np.float32)
+        self.vertices.append(np.column_stack([position, uv0[:, :1], normal, uv0[:, 1:]]).astype(np.float32))
+        if self.with_tangents:
+            self.tangents.append(tangent if tangent is not None else np.zeros((count, 4), np.float32))
+        if self.with_attributes:
+            self.attributes.append(_pack_attributes(piece, count))
+        rows = np.empty((len(index), 4), np.uint32)
+        rows[:, :3] = index + np.uint32(self.vertex_count)
+        rows[:, 3] = geometry
+        self.triangles.append(rows)
+        self.vertex_count += count
+        first = self.triangle_count
+        self.triangle_count += len(rows)
+        return first, len(rows)
+
+    def add_sphere(self, geometry: int, centre: F64, radius: float) -> tuple[int, int, F32]:
+        self.vertices.append(np.array([[*centre, 0, radius, 0, 0, 0]], np.float32))
+        if self.with_tangents:
+            self.tangents.append(np.zeros((1, 4), np.float32))
+        if self.with_attributes:
+            self.attributes.append(_pack_attributes(None, 1))
+        self.triangles.append(np.array([[self.vertex_count] * 3 + [geometry]], np.uint32))
+        self.sources.append(np.zeros(1, np.uint32))
+        self.vertex_count += 1
+        self.triangle_count += 1
+        return self.triangle_count - 1, geometry, np.array([*centre, radius], np.float32)
+
+    def mark(self) -> tuple[int, int, int]:
+        """Where a mesh begins: pieces, triangles, vertices so far."""
+        return len(self.triangles), self.triangle_count, self.vertex_count
+
+    def close_mesh(self, mark: tuple[int, int, int], ranges: list[tuple[int, int]], spheres: list[tuple[int, int, F32]]) -> bool:
+        """Builds the tree over everything since `mark`; False if nothing is left to trace."""
+        piece, first, vertex = mark
+        if first == self.triangle_count:
+            return False
+        rows = np.concatenate(self.triangles[piece:])
+        ids = np.arange(len(rows), dtype=np.uint32)
+        flat = np.ones(len(rows), bool)
+        flat[[s[0] - first for s in spheres]] = False
+        rows, ids = rows[flat], ids[flat]
+        position = np.concatenate([v[:, :3] for v in self.vertices[piece:]])[rows[:, :3] - np.uint32(vertex)]
+        blas = load_or_build(
+            position,
+            ids,
+            rows[:, 3].copy(),
+            spheres=np.array([s[2] for s in spheres], np.float32).reshape(-1, 4),
+            sphere_triangle=np.array([s[0] - first for s in spheres], np.uint32),
+            sphere_geometry=np.array([s[1] for s in spheres], np.uint32),
+        )
+        self.meshes.append(MeshData(first, tuple(ranges), blas, tuple(spheres)))
+        return True
+
+    def flatten(self) -> None:
+        scene = self.scene
+        centre = scene.bounds().mean(0)
+        parts = [
+            (instance, number, k, (instance.materials or _own_materials(scene.meshes[instance.mesh]))[k])
+            for number, instance in enumerate(scene.instances)
+            for k in range(len(scene.meshes[instance.mesh].primitives))
+        ]
+        # By raster state, so that each state is one draw.
+        parts.sort(key=lambda part: draw_state(scene.materials[part[3]]))
+        ranges: list[tuple[int, int]] = []
+        spheres: list[tuple[int, int, F32]] = []
+        for geometry, (instance, number, k, material) in enumerate(parts):
+            mesh = scene.meshes[instance.mesh]
+            primitive = mesh.primitives[k]
+            to_mesh = instance.world_from_object.copy()
+            to_mesh[:3, 3] -= centre
+            if isinstance(primitive, Sphere):
+                scale = abs(np.linalg.det(to_mesh[:3, :3])) ** (1 / 3)
+                spheres.append(self.add_sphere(geometry, to_mesh[:3, 3], primitive.radius * scale))
+                ranges.append((self.triangle_count, 0))
+            else:
+                ranges.append(self.add_piece(mesh, k, geometry, to_mesh))
+            self.records.append((self.hit_group(primitive, material), number))
+        if self.close_mesh((0, 0, 0), ranges, spheres):
+            pose = np.eye(4)
+            pose[:3, 3] = centre
+            self.place(0, pose, layout.CONSTANTS["ID_NONE"], 0)
+
+    def keep_instances(self) -> None:
+        scene = self.scene
+        meshes: dict[tuple[int, ...], int] = {}  # by identity of the primitives' arrays: equal data is stored once
+        records: dict[tuple[int, tuple[int, ...]], int] = {}
+        for number, instance in enumerate(scene.instances):
+            mesh = scene.meshes[instance.mesh]
+            key = tuple(id(p.position) if isinstance(p, Triangles) else id(p) for p in mesh.primitives)
+            if key not in meshes:
+                mark, ranges, spheres = self.mark(), [], []
+                for geometry, primitive in enumerate(mesh.primitives):
+                    if isinstance(primitive, Sphere):
+                        spheres.append(self.add_sphere(geometry, np.zeros(3), primitive.radius))
+                        ranges.append((self.triangle_count, 0))
+                    else:
+                        ranges.append(self.add_piece(mesh, geometry, geometry, None))
+                built = self.close_mesh(mark, ranges, spheres)
+                meshes[key] = len(self.meshes) - 1 if built else -1
+            row = meshes[key]
+            if row < 0:
+                continue
+            materials = instance.materials or _own_materials(mesh)
+            # Records carry the scene's instance only where they are not shared; the Instance row always does.
+            if (row, materials) not in records:
+                records[row, materials] = len(self.records)
+                self.records += [
+                    (self.hit_group(p, m), layout.CONSTANTS["ID_NONE"]) for p, m in zip(mesh.primitives, materials, strict=True)
+                ]
+            self.place(row, instance.world_from_object, number, records[row, materials])
+
+    def place(self, mesh: int, world_from_object: F64, scene_id: int, first_record: int) -> None:
+        self.instance_mesh.append(mesh)
+        self.placements.append(world_from_object)
+        self.instance_id.append(scene_id)
+        self.first_record.append(first_record)
+
+    def finish(self, levels: int, why: str) -> Geometry:
+        if self.triangle_count >= 2**27:
+            raise GeometryError(f"{self.scene.name}: {self.triangle_count} triangles; the tree's limit is {2**27 - 1}")
+        materials = tuple(self.scene.materials[i] for i in self.material_rows)
+        return Geometry(
+            levels=levels,
+            vertices=_stack(self.vertices, 8, np.float32),
+            triangles=_stack(self.triangles, 4, np.uint32),
+            tangents=_stack(self.tangents, 4, np.float32) if self.with_tangents else None,
+            attributes=_stack(self.attributes, 4, np.uint32) if self.with_attributes else None,
+            meshes=tuple(self.meshes),
+            instance_mesh=np.array(self.instance_mesh, np.uint32),
+            world_from_object=np.array(self.placements, np.float64).reshape(-1, 4, 4),
+            instance_id=np.array(self.instance_id, np.uint32),
+            first_record=np.array(self.first_record, np.uint32),
+            records=np.array(self.records, np.uint32).reshape(-1, 2),
+            hit_groups=np.array(list(self.groups), np.uint32).reshape(-1, 4),
+            materials=materials,
+            material_index=np.array(list(self.material_rows), np.uint32),
+            source_triangle=np.concatenate(self.sources) if self.sources else np.zeros(0, np.uint32),
+            dropped=self.dropped,
+            why_levels=why,
+        )
+
+
+def any_hit(material: Material) -> int:
+    """What a shadow ray does at this material."""
+    if material.alpha_mode == "BLEND" or material.transmission > 0:
+        return layout.CONSTANTS["ANY_HIT_TINT"]
+    return layout.CONSTANTS["ANY_HIT_MASK" if material.alpha_mode == "MASK" else "ANY_HIT_OPAQUE"]
+
+
+def draw_state(material: Material) -> tuple[int, int]:
+    """Raster state: (any hit, single-sided)."""
+    return any_hit(material), int(not material.double_sided)
+
+
+def solid(position: F32, index: U32) -> np.ndarray:
+    """(T,) bool: triangles whose vertices are finite and that have an area."""
+    corner = position[index].astype(np.float64)
+    with np.errstate(invalid="ignore", over="ignore"):
+        normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    return np.isfinite(corner).all((1, 2)) & (normal != 0).any(1)
+
+
+def _own_materials(mesh: Mesh) -> tuple[int, ...]:
+    return tuple(p.material for p in mesh.primitives)
+
+
+def _unit(v: F32) -> F32:
+    length = np.linalg.norm(v, axis=1, keepdims=True)
+    return np.divide(v, length, out=np.zeros_like(v), where=length > 0)
+
+
+def _pack_attributes(piece: Triangles | None, count: int) -> U32:
+    packed = np.zeros((count, 4), np.uint32)
+    color = np.ones((count, 4), np.float16)
+    if piece is not None:
+        if piece.uv1 is not None:
+            packed[:, :2] = np.ascontiguousarray(piece.uv1, np.float32).view(np.uint32)
+        if piece.color is not None:
+            color = np.clip(piece.color, 0, 65504).astype(np.float16)
+    packed[:, 2:] = np.ascontiguousarray(color).view(np.uint32)
+    return packed
+
+
+def _stack(parts: list[np.ndarray], width: int, kind: type) -> np.ndarray:
+    return np.concatenate(parts) if parts else np.zeros((0, width), kind)

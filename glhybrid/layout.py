@@ -1,0 +1,225 @@
+"""Every struct, image and enum that Python and GLSL both read: one table, from which both faces are made.
+
+STRUCTS rows are (GLSL type, name, meaning). `dtype` follows std430 (OpenGL 4.6 core, 7.6.2.2) and keeps the order;
+`glsl` prints the same rows as a GLSL struct. Shaders get them through `#include "layout.glsl"`.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+Row = tuple[str, str, str]
+
+TEXTURE_ROWS: list[Row] = [
+    ("uint", "first_level", "row of texture_levels that holds level 0"),
+    ("uint", "level_count", "levels in a row"),
+    ("uint", "sampling", "WRAP_U bits 0-1, WRAP_V bits 2-3, NEAREST bit 4, UV1 bit 5"),
+    ("float", "log2_texels", "log2 of width * height of level 0, for the level of detail"),
+    ("vec3", "u_row", "u' = dot(u_row, (u, v, 1)): KHR_texture_transform"),
+    ("vec3", "v_row", "v' likewise"),
+]
+
+STRUCTS: dict[str, list[Row]] = {
+    "FrameConstants": [
+        ("mat4", "clip_from_world", "world is origin-relative: the renderer rebases it on the camera"),
+        ("mat4", "previous_clip_from_world", "of the frame before, in this frame's world"),
+        ("vec3", "eye_ws", "origin of primary rays (perspective)"),
+        ("float", "pixel_angle", "rad a pixel, at the image centre; footprint in m if orthographic"),
+        ("vec3", "right_ws", "ray direction per unit of ndc.x; half extent in m if orthographic"),
+        ("uint", "orthographic", "1 = parallel rays along forward_ws"),
+        ("vec3", "up_ws", "ray direction per unit of ndc.y"),
+        ("uint", "seed", "of every random sequence"),
+        ("vec3", "forward_ws", "unit"),
+        ("float", "near", "m along forward_ws: nothing closer is seen"),
+        ("uint", "sample_first", "index of the first sample of this dispatch"),
+        ("vec2", "jitter_px", "offset of the ray from the pixel centre"),
+        ("ivec2", "size_px", "width, height"),
+        ("uint", "light_first", "first light of this dispatch"),
+        ("uint", "light_end", "one past the last light of this dispatch"),
+        ("uint", "light_count", "all lights"),
+        ("uint", "bounces", "surface bounces after the first hit (reference)"),
+        ("uint", "sample_count", "samples in this dispatch"),
+        ("float", "accumulate", "weight of what the image already holds: 0 = overwrite"),
+        ("float", "exposure_ev", "EV; used unless auto_exposure"),
+        ("uint", "auto_exposure", "1 = from the log-average luminance"),
+        ("uint", "tone_map", "TONE_*"),
+        ("vec3", "environment_x", "rows of environment_from_world: rotation about +Y"),
+        ("float", "environment_intensity", "texels times this are radiance"),
+        ("vec3", "environment_z", "third row"),
+        ("uint", "top_root", "root node of the top-level tree"),
+        ("vec3", "top_grid_min", "of the top-level tree, origin-relative"),
+        ("vec3", "top_grid_step", ""),
+        ("float", "emissive_weight", "sum of area times luminance over emissive triangles (reference)"),
+    ],
+    "Instance": [
+        ("mat4x3", "world_from_object", "origin-relative, m"),
+        ("mat4x3", "object_from_world", "its inverse"),
+        ("vec3", "grid_min", "of the Blas, object space"),
+        ("uint", "root", "node of the Blas in the packed node array"),
+        ("vec3", "grid_step", "of the Blas"),
+        ("uint", "first_record", "row of records for geometry 0"),
+        ("uint", "flipped", "1 = negative determinant: front faces turn clockwise"),
+        ("uint", "id", "row of Scene.instances; ID_NONE: the record knows"),
+    ],
+    "Record": [
+        ("uint", "hit_group", "row of hit_groups"),
+        ("uint", "instance_id", "row of Scene.instances, for the AOV"),
+    ],
+    "HitGroup": [
+        ("uint", "kind", "KIND_*: the intersection function"),
+        ("uint", "material", "row of materials"),
+        ("uint", "any_hit", "ANY_HIT_*: what a shadow ray does here"),
+        ("uint", "single_sided", "1 = back faces are invisible to camera and reflection rays"),
+    ],
+    "Material": [
+        ("vec4", "base_color", "linear"),
+        ("vec3", "emissive", "radiance"),
+        ("float", "metallic", ""),
+        ("vec3", "specular_color", "KHR_materials_specular"),
+        ("float", "roughness", "perceptual; alpha = roughness squared"),
+        ("float", "specular", "KHR_materials_specular"),
+        ("float", "dielectric_f0", "((ior - 1) / (ior + 1))^2"),
+        ("float", "alpha_cutoff", ""),
+        ("float", "normal_scale", ""),
+        ("float", "occlusion_strength", ""),
+        ("float", "clearcoat", ""),
+        ("float", "clearcoat_roughness", ""),
+        ("float", "clearcoat_normal_scale", ""),
+        ("float", "transmission", "thin"),
+        ("uint", "alpha_mode", "ALPHA_*"),
+        ("uint", "unlit", "1 = base colour is radiance"),
+        ("int", "base_color_texture", "row of textures, -1 = none"),
+        ("int", "metallic_roughness_texture", ""),
+        ("int", "normal_texture", ""),
+        ("int", "occlusion_texture", ""),
+        ("int", "emissive_texture", ""),
+        ("int", "specular_texture", ""),
+        ("int", "specular_color_texture", ""),
+        ("int", "clearcoat_texture", ""),
+        ("int", "clearcoat_roughness_texture", ""),
+        ("int", "clearcoat_normal_texture", ""),
+        ("int", "transmission_texture", ""),
+    ],
+    "Texture": TEXTURE_ROWS,
+    "Light": [
+        ("vec3", "color", "colour times intensity: lux or candela"),
+        ("uint", "kind", "LIGHT_*"),
+        ("vec3", "position", "origin-relative, m"),
+        ("float", "range", "m; 0 = unlimited"),
+        ("vec3", "direction", "unit, the way the light travels"),
+        ("float", "cone_scale", "1 / (cos inner - cos outer)"),
+        ("float", "cone_offset", "-cos outer * cone_scale"),
+        ("float", "size", "tan of half the angular diameter, or radius in m; 0 = hard"),
+    ],
+    "Emitter": [  # reference only
+        ("uint", "instance", "row of instances"),
+        ("uint", "triangle", "row of triangles"),
+        ("float", "cdf", "upper end of this triangle's share of emissive_weight, 0 to 1"),
+        ("float", "luminance", "of the material's emissive factor"),
+    ],
+}
+
+CONSTANTS: dict[str, int] = {
+    "ID_NONE": 0xFFFFFFFF,
+    "KIND_TRIANGLE": 0, "KIND_SPHERE": 1,
+    "ANY_HIT_OPAQUE": 0, "ANY_HIT_MASK": 1, "ANY_HIT_TINT": 2,
+    "ALPHA_OPAQUE": 0, "ALPHA_MASK": 1, "ALPHA_BLEND": 2,
+    "LIGHT_DIRECTIONAL": 0, "LIGHT_POINT": 1, "LIGHT_SPOT": 2,
+    "WRAP_REPEAT": 0, "WRAP_CLAMP": 1, "WRAP_MIRROR": 2,
+    "TONE_NONE": 0, "TONE_ACES": 1, "TONE_AGX": 2, "TONE_PBR_NEUTRAL": 3,
+    # What passes/aov.comp writes, by the names of glhybrid/image.py.
+    "AOV_DEPTH": 1, "AOV_DISTANCE": 2, "AOV_POSITION": 3, "AOV_NORMAL": 4, "AOV_NORMAL_GEOMETRIC": 5, "AOV_ALBEDO": 6,
+    "AOV_ROUGHNESS": 7, "AOV_METALLIC": 8, "AOV_EMISSIVE": 9, "AOV_INSTANCE_ID": 10, "AOV_MATERIAL_ID": 11,
+    "AOV_TRIANGLE_ID": 12, "AOV_MOTION": 13, "AOV_BVH_STEPS": 14,
+    # Why a technique gave up at a pixel (the `reason` AOV).
+    "REASON_NONE": 0,          # nothing to answer here, or answered
+    "REASON_ROUGH": 1,         # too rough to spend a ray
+    "REASON_BELOW": 2,         # the direction pointed under the surface and was bent back
+    "REASON_ENVIRONMENT": 3,   # no object in that direction
+}  # fmt: skip
+
+PREFILTER_SIZES = (128, 64, 32, 16, 16, 16, 16)  # octahedral map of roughness 1/7, 2/7 .. 1: lobes widen, maps shrink
+IRRADIANCE_SIZE = 32
+DFG_SIZE = 64
+
+_TYPES: dict[str, tuple[Any, tuple[int, ...], int, int]] = {  # dtype, shape, alignment, size (std430)
+    "float": (np.float32, (), 4, 4), "uint": (np.uint32, (), 4, 4), "int": (np.int32, (), 4, 4),
+    "vec2": (np.float32, (2,), 8, 8), "ivec2": (np.int32, (2,), 8, 8), "uvec2": (np.uint32, (2,), 8, 8),
+    "vec3": (np.float32, (3,), 16, 12), "uvec3": (np.uint32, (3,), 16, 12),
+    "vec4": (np.float32, (4,), 16, 16), "uvec4": (np.uint32, (4,), 16, 16),
+    "mat4": (np.float32, (4, 4), 16, 64),    # columns first: write the transpose
+    "mat4x3": (np.float32, (4, 4), 16, 64),  # four vec3 columns, each padded to 16 bytes
+}  # fmt: skip
+
+
+def dtype(name: str) -> np.dtype[Any]:
+    """NumPy dtype of a STRUCTS entry with std430 offsets; itemsize is the array stride."""
+    offset, largest = 0, 4
+    names, formats, offsets = [], [], []
+    for kind, field, _ in STRUCTS[name]:
+        base, shape, align, size = _TYPES[kind]
+        offset = -(-offset // align) * align
+        names.append(field)
+        formats.append((base, shape))
+        offsets.append(offset)
+        offset += size
+        largest = max(largest, align)
+    itemsize = -(-offset // largest) * largest
+    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": itemsize})
+
+
+def glsl(name: str) -> str:
+    """The same rows as a GLSL struct, meanings as comments."""
+    rows = "\n".join(f"    {kind} {field};  // {meaning}".rstrip(" /") for kind, field, meaning in STRUCTS[name])
+    return f"struct {name} {{\n{rows}\n}};\n"
+
+
+def glsl_header() -> str:
+    """Text of the virtual include "layout.glsl"."""
+    constants = "\n".join(f"const uint {k} = {v}u;" for k, v in CONSTANTS.items())
+    sizes = ", ".join(str(s) for s in PREFILTER_SIZES)
+    tables = (
+        f"const int PREFILTER_LEVELS = {len(PREFILTER_SIZES)};\n"
+        f"const int PREFILTER_SIZES[PREFILTER_LEVELS] = int[]({sizes});\n"
+        f"const int IRRADIANCE_SIZE = {IRRADIANCE_SIZE};\nconst int DFG_SIZE = {DFG_SIZE};\n"
+    )
+    return constants + "\n" + tables + "".join(glsl(name) for name in STRUCTS)
+
+
+def columns(matrix: Any) -> Any:
+    """(..., 4, 4) or (..., 3, 4) row-major matrices as GLSL columns (..., 4, 4) float32: the only transpose there is."""
+    matrix = np.asarray(matrix)
+    out = np.zeros((*matrix.shape[:-2], 4, 4), np.float32)
+    out[..., :, : matrix.shape[-2]] = np.swapaxes(matrix, -1, -2)
+    return out
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One image that passes share: moderngl components and dtype, the GLSL format qualifier, what it means."""
+
+    name: str
+    components: int
+    dtype: str
+    glsl_format: str
+    meaning: str
+
+    @property
+    def bytes_per_pixel(self) -> int:
+        return self.components * {"f1": 1, "f2": 2, "f4": 4, "u4": 4, "u1": 1}[self.dtype]
+
+
+CHANNELS: dict[str, Channel] = {
+    c.name: c
+    for c in (
+        Channel("gbuffer_id", 2, "u4", "rg32ui", "row of instances, row of triangles; ID_NONE = a miss"),
+        Channel("visibility", 1, "f1", "r8", "1 = light arrives; a layer a light"),
+        Channel("visibility_tint", 4, "f2", "rgba16f", "the same through tinted surfaces"),
+        Channel("reflection", 4, "f4", "rgba32f", "radiance along the mirror direction, distance to what is seen"),
+        Channel("radiance", 4, "f4", "rgba32f", "linear Rec. 709 radiance, coverage"),
+        Channel("aov", 4, "u4", "rgba32ui", "bits of one AOV"),
+        Channel("reason", 1, "u1", "r8ui", "REASON_*"),
+        Channel("display", 4, "f1", "rgba8", "sRGB-encoded"),
+    )
+}

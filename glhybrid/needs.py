@@ -1,0 +1,132 @@
+"""What a scene needs: the features that its shaders are specialised by, decided from the scene and the settings.
+
+Each field of Features is a define, always set, 0 or 1 (or a number): USE_<NAME> for the preprocessor and a constant
+<NAME> for code. A program is compiled with those that its text names, so equal programs are shared.
+"""
+
+from dataclasses import dataclass, fields, replace
+
+from glhybrid.scene import Material, Scene, Sphere, Triangles
+from glhybrid.settings import Settings
+
+MIRROR_ROUGHNESS = 0.02  # as in lib/brdf.glsl
+
+
+@dataclass(frozen=True)
+class Features:
+    two_level: bool = False  # instances are traced through a top-level tree
+    spheres: bool = False  # analytic spheres
+    alpha_test: bool = False  # a material cuts holes
+    blended: bool = False  # a material blends or transmits
+    single_sided: bool = False  # a material has no back
+    textures: bool = False
+    normal_map: bool = False
+    tangents: bool = False
+    extra_attributes: bool = False  # a second UV set or vertex colours
+    clearcoat: bool = False
+    specular: bool = False  # KHR_materials_ior or KHR_materials_specular
+    environment: bool = False
+    environment_map: bool = False  # not constant
+    specular_sky: bool = False  # the environment is seen in the specular lobe
+    shadow_rays: bool = False  # hits and layers send their own
+    visibility: bool = False  # the shadow pass runs
+    reflections: bool = False  # the reflect pass runs
+    emitters: bool = False  # reference: some triangles shine
+    terminator: bool = False
+    reason: bool = False
+    sphere_proxy: bool = False
+    clip_control: bool = True
+    step_counter: bool = False
+    moeller_trumbore: bool = False  # tests only: the control that must leak
+    bvh_stack: int = 0  # entries, from the depth of the trees
+    bvh_inner_steps: int = 3  # inner nodes in a row, before a leaf
+    aov: int = 0  # which, in passes/aov.comp
+
+    def defines(self) -> dict[str, int]:
+        """Names as GLSL knows them, with values."""
+        values = {f.name.upper(): int(getattr(self, f.name)) for f in fields(self)}
+        return {name if name.startswith("BVH_") else f"USE_{name}": value for name, value in values.items()}
+
+    replace = replace
+
+
+@dataclass(frozen=True)
+class Needs:
+    """Features of a scene under some settings, and what it does not need, with the reason."""
+
+    features: Features
+    skipped: tuple[str, ...]
+
+
+def used_materials(scene: Scene) -> list[int]:
+    """Indices of the materials that something drawn has, ascending."""
+    used: set[int] = set()
+    for instance in scene.instances:
+        mesh = scene.meshes[instance.mesh]
+        used.update(instance.materials or tuple(p.material for p in mesh.primitives))
+    return sorted(used)
+
+
+def reflective(material: Material) -> bool:
+    """Whether a mirror ray is worth its cost anywhere on this material: at roughness 1 none is spent."""
+    coated = material.clearcoat > 0 and material.clearcoat_roughness < 1
+    return not material.unlit and (
+        material.roughness < 1 or "metallic_roughness" in material.textures or coated
+    )
+
+
+def find(scene: Scene, settings: Settings) -> Needs:
+    """Looks at what is drawn and lit. Anything no scene object uses is left out and said in `skipped`."""
+    materials = [scene.materials[i] for i in used_materials(scene)]
+    meshes = [scene.meshes[i] for i in sorted({i.mesh for i in scene.instances})]
+    pieces = [p for m in meshes for p in m.primitives if isinstance(p, Triangles)]
+    textures = any(m.textures for m in materials)
+    normal_map = any(m.textures.keys() & {"normal", "clearcoat_normal"} for m in materials)
+    uv1 = any(t.uv_set == 1 for m in materials for t in m.textures.values())
+    environment = scene.environment is not None and scene.environment.intensity > 0 and bool(scene.environment.radiance.any())
+    lit = bool(scene.lights) and not all(m.unlit for m in materials)
+    reference = settings.reflections == "reference"
+    mirrors = any(reflective(m) for m in materials)
+    reflections = settings.reflections == "ray-lerp" and mirrors
+    visibility = lit and settings.shadows == "ray" and not reference
+    features = Features(
+        spheres=any(isinstance(p, Sphere) for m in meshes for p in m.primitives),
+        alpha_test=any(m.alpha_mode == "MASK" for m in materials),
+        blended=any(m.alpha_mode == "BLEND" or m.transmission > 0 for m in materials),
+        single_sided=any(not m.double_sided for m in materials),
+        textures=textures,
+        normal_map=normal_map,
+        tangents=normal_map,
+        extra_attributes=uv1 or any(p.color is not None for p in pieces),
+        clearcoat=any(m.clearcoat > 0 for m in materials),
+        specular=any(m.ior != 1.5 or m.specular != 1 or m.specular_color != (1.0, 1.0, 1.0) for m in materials),
+        environment=environment,
+        environment_map=environment and scene.environment is not None and not scene.environment.constant,
+        specular_sky=environment and settings.reflections != "none",
+        shadow_rays=lit and settings.shadows != "none",
+        visibility=visibility,
+        reflections=reflections,
+        emitters=reference and any(max(m.emissive) > 0 for m in materials),
+        terminator=visibility and settings.terminator,
+    )
+    skipped = []
+    if not reference:
+        if not visibility:
+            reason = "the scene has no light" if not lit else f"shadows = {settings.shadows}"
+            skipped.append(f"shadow pass and its images: {reason}")
+        if not reflections:
+            reason = "no material is smoother than roughness 1" if not mirrors else f"reflections = {settings.reflections}"
+            skipped.append(f"reflect pass and its image: {reason}")
+    for name, present, reason in (
+        ("alpha tests in raster and rays", features.alpha_test, "no material cuts out"),
+        ("blended layers", features.blended, "no material blends or transmits"),
+        ("textures", features.textures, "no material has one"),
+        ("tangents", features.tangents, "no material has a normal map"),
+        ("second UV set and vertex colours", features.extra_attributes, "no primitive has them"),
+        ("spheres", features.spheres, "every shape is made of triangles"),
+        ("clearcoat lobe", features.clearcoat, "no material is coated"),
+        ("environment", features.environment, "the scene has none"),
+    ):
+        if not present:
+            skipped.append(f"{name}: {reason}")
+    return Needs(features, tuple(skipped))

@@ -1,0 +1,1 @@
+"""One module per pass, none importing another. A pass owns no image: targets.py allocates what the plan lists."""

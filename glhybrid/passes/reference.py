@@ -1,0 +1,105 @@
+"""The progressive path tracer: what all techniques are held against."""
+
+from typing import Any
+
+import numpy as np
+
+from glhybrid import layout
+from glhybrid.context import Context
+from glhybrid.geometry import Geometry
+from glhybrid.gpu_scene import GpuScene
+from glhybrid.needs import Features
+from glhybrid.scene import F32, Environment
+from glhybrid.shaders import Shaders
+from glhybrid.targets import Targets
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+SAMPLES_AT_ONCE = 4  # in a dispatch on a GPU; one on a CPU, where a dispatch cannot be interrupted for a second
+
+
+class Reference:
+    name = "reference"
+
+    def __init__(self, context: Context, shaders: Shaders, scene: GpuScene, features: Features) -> None:
+        self._owned: list[Any] = []
+        self._resources = dict(scene.resources)
+        self.emissive_weight = 0.0
+        self._at_once = 1 if context.device.software else SAMPLES_AT_ONCE
+        if features.emitters:
+            rows, self.emissive_weight = emitter_rows(scene.geometry)
+            features = features.replace(emitters=len(rows) > 0)
+            if len(rows):
+                buffer = context.gl.buffer(rows.tobytes())
+                self._owned.append(buffer)
+                self._resources["Emitters"] = buffer
+        if features.environment_map:
+            assert scene.scene.environment is not None
+            cdf = environment_cdf(scene.scene.environment)
+            texture = context.gl.texture(cdf.shape[::-1], 1, cdf.tobytes(), dtype="f4")
+            self._owned.append(texture)
+            self._resources["environment_cdf"] = texture
+        self._program = shaders.compute("reference", features)
+
+    def run(self, targets: Targets, staged: Any, timing: Any, progress: Any) -> Any:
+        """Averages settings.samples paths a pixel -> radiance."""
+        settings = staged.settings
+        radiance = targets.get("radiance")
+        resources = {**self._resources, "radiance": radiance}
+        spread = 0.0 if settings.aa == 1 else 1.0
+        done = 0
+        while done < settings.samples:
+            count = min(self._at_once, settings.samples - done)
+            staged.set(
+                sample_first=done, sample_count=count, jitter_px=(spread, spread), emissive_weight=self.emissive_weight
+            )
+            timing.frame()
+            timing.run("reference", lambda: self._program.dispatch(resources, targets.size))
+            done += count
+            if progress is not None:
+                progress("samples", done, settings.samples)
+        return radiance
+
+    def release(self) -> None:
+        for owned in self._owned:
+            owned.release()
+        self._owned.clear()
+
+
+def emitter_rows(geometry: Geometry) -> tuple[np.ndarray, float]:
+    """Rows of layout Emitter over all shining triangles, and the sum of their area times luminance."""
+    groups, materials = geometry.hit_groups, geometry.materials
+    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
+    for i, mesh_row in enumerate(geometry.instance_mesh.tolist()):
+        for number, (first, count) in enumerate(geometry.meshes[mesh_row].geometries):
+            material = materials[groups[geometry.records[geometry.first_record[i] + number, 0], 1]]
+            luminance = float(LUMINANCE @ np.asarray(material.emissive))
+            if luminance <= 0 or count == 0 or material.unlit:
+                continue
+            rows = np.arange(first, first + count, dtype=np.uint32)
+            corner = geometry.vertices[geometry.triangles[rows, :3], :3].astype(np.float64)
+            edges = (corner[:, 1:] - corner[:, :1]) @ geometry.world_from_object[i, :3, :3].T
+            area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / 2
+            parts.append((np.full(count, i, np.uint32), rows, area * luminance, np.full(count, luminance)))
+    if not parts:
+        return np.zeros(0, layout.dtype("Emitter")), 0.0
+    table = np.zeros(sum(len(p[1]) for p in parts), layout.dtype("Emitter"))
+    weight = np.concatenate([p[2] for p in parts])
+    table["instance"], table["triangle"] = (np.concatenate([p[k] for p in parts]) for k in (0, 1))
+    table["cdf"] = np.cumsum(weight) / weight.sum()
+    table["luminance"] = np.concatenate([p[3] for p in parts])
+    table["cdf"][-1] = 1
+    return table, float(weight.sum())
+
+
+def environment_cdf(environment: Environment) -> F32:
+    """(H + 1, max(W, H)) float32: cumulated luminance times solid angle along each row, then over rows."""
+    height, width = environment.radiance.shape[:2]
+    theta = np.arange(height + 1) / height * np.pi
+    solid = np.cos(theta[:-1]) - np.cos(theta[1:])
+    weight = np.maximum(environment.radiance.astype(np.float64) @ LUMINANCE, 0) * solid[:, None]
+    table = np.ones((height + 1, max(width, height)))
+    rows = weight.sum(1)
+    along = np.cumsum(weight, 1)
+    table[:height, :width] = np.where(rows[:, None] > 0, along / np.maximum(rows[:, None], 1e-300), np.arange(1, width + 1) / width)
+    table[height, :height] = np.cumsum(rows) / max(rows.sum(), 1e-300)
+    return table.astype(np.float32)

@@ -1,0 +1,30 @@
+"""One any-hit ray per pixel and light -> visibility, a layer a light (Kim, section 4)."""
+
+from typing import Any
+
+from glhybrid.gpu_scene import GpuScene
+from glhybrid.needs import Features
+from glhybrid.shaders import Shaders
+from glhybrid.targets import Targets
+
+LIGHTS_AT_ONCE = 8  # in a dispatch: llvmpipe ends all loops of an invocation at 65,535 turns, rays included
+
+
+class Shadow:
+    name = "shadow"
+
+    def __init__(self, shaders: Shaders, scene: GpuScene, features: Features) -> None:
+        self._program = shaders.compute("shadow", features)
+        self._scene = scene
+        self._channel = "visibility_tint" if features.blended else "visibility"
+
+    def run(self, targets: Targets, ids: Any, set_lights: Any) -> Any:
+        """set_lights(first, end) says which lights the next dispatch is for."""
+        count = len(self._scene.lights)
+        visibility = targets.get(self._channel, layers=count)
+        resources = {**self._scene.resources, "gbuffer_id": ids, "out_visibility": visibility}
+        for first in range(0, count, LIGHTS_AT_ONCE):
+            if count > LIGHTS_AT_ONCE or first:
+                set_lights(first, min(first + LIGHTS_AT_ONCE, count))
+            self._program.dispatch(resources, targets.size)
+        return visibility

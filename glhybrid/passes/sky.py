@@ -1,0 +1,92 @@
+"""The environment on the GPU: the map, its convolutions (made once), and the split-sum table."""
+
+from typing import Any
+
+import moderngl
+import numpy as np
+
+from glhybrid import layout
+from glhybrid.context import Context
+from glhybrid.needs import Features
+from glhybrid.scene import F32, Environment
+from glhybrid.shaders import Shaders
+
+
+class Sky:
+    """Owns the textures; `resources` has them by GLSL name, only those that the features read."""
+
+    def __init__(self, context: Context, shaders: Shaders, environment: Environment | None, features: Features) -> None:
+        self.resources: dict[str, Any] = {}
+        gl = context.gl
+        if features.specular_sky or features.reflections:
+            size = layout.DFG_SIZE
+            dfg = self.resources["dfg"] = gl.texture((size, size), 4, dtype="f2")
+            dfg.repeat_x = dfg.repeat_y = False
+            shaders.compute("dfg", features).dispatch({"out_dfg": dfg}, (size, size))
+        if environment is None or not features.environment:
+            return
+        if not features.environment_map:
+            self.resources["environment_constant"] = tuple(environment.radiance[0, 0].tolist())
+            return
+        mips = _mips(environment.radiance)
+        height, width = mips[0].shape[:2]
+        exact = self.resources["environment_map"] = gl.texture((width, height), 4, _rgba(mips[0]), dtype="f4")
+        exact.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        blurred = gl.texture((width, height), 4, _rgba(mips[0]), dtype="f4")
+        blurred.build_mipmaps(0, len(mips) - 1)
+        for level, texels in enumerate(mips[1:], start=1):
+            blurred.write(_rgba(texels), level=level)
+        blurred.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+        blurred.repeat_x, blurred.repeat_y = True, False
+        sizes = layout.PREFILTER_SIZES
+        rough = self._atlas(context, sum(s + 2 for s in sizes), max(sizes) + 2)
+        diffuse = self._atlas(context, layout.IRRADIANCE_SIZE + 2, layout.IRRADIANCE_SIZE + 2)
+        program = shaders.compute("prefilter", features)
+        column = 0
+        for lobe, size in enumerate(sizes):
+            program.dispatch(
+                {"environment_mips": blurred, "lobe": lobe, "column": column, "out_atlas": rough}, (size + 2, size + 2)
+            )
+            column += size + 2
+        size = layout.IRRADIANCE_SIZE + 2
+        program.dispatch({"environment_mips": blurred, "lobe": -1, "column": 0, "out_atlas": diffuse}, (size, size))
+        blurred.release()
+        self.resources["environment_rough"], self.resources["environment_diffuse"] = rough, diffuse
+
+    @staticmethod
+    def _atlas(context: Context, width: int, height: int) -> moderngl.Texture:
+        texture = context.gl.texture((width, height), 4, dtype="f2")
+        texture.repeat_x = texture.repeat_y = False
+        return texture
+
+    @property
+    def bytes(self) -> int:
+        textures = [t for t in self.resources.values() if isinstance(t, moderngl.Texture)]
+        return sum(t.width * t.height * t.components * (4 if t.dtype == "f4" else 2) for t in textures)
+
+    def release(self) -> None:
+        for texture in self.resources.values():
+            if isinstance(texture, moderngl.Texture):
+                texture.release()
+        self.resources.clear()
+
+
+def _rgba(rgb: F32) -> bytes:
+    return np.concatenate([rgb, np.ones_like(rgb[..., :1])], axis=-1, dtype=np.float32).tobytes()
+
+
+def _mips(radiance: F32) -> list[F32]:
+    """Halved until one texel is left; rows weighted by their solid angle, so that the poles do not shine brighter."""
+    levels = [np.clip(radiance, 0, 65504).astype(np.float32)]  # what half floats hold: the atlases are rgba16f
+    while max(levels[-1].shape[:2]) > 1:
+        texels = levels[-1]
+        height, width = texels.shape[:2]
+        weight = np.sin((np.arange(height) + 0.5) / height * np.pi)[:, None, None].astype(np.float32)
+        if height > 1:
+            rows = 2 * (height // 2)
+            pair = (texels * weight)[:rows].reshape(-1, 2, width, 3).sum(1)
+            texels = pair / weight[:rows].reshape(-1, 2, 1, 1).sum(1)
+        if width > 1:
+            texels = texels[:, : 2 * (width // 2)].reshape(texels.shape[0], -1, 2, 3).mean(2)
+        levels.append(np.ascontiguousarray(texels, np.float32))
+    return levels

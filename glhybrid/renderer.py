@@ -1,0 +1,310 @@
+"""The renderer: one frame, top to bottom. Owns every GL object; close() frees them."""
+
+import time
+from collections.abc import Callable
+from typing import Any, Self
+
+import numpy as np
+
+from glhybrid import __version__, geometry, layout, plan
+from glhybrid.context import Context, open_context
+from glhybrid.errors import SettingError
+from glhybrid.gpu_scene import GpuScene
+from glhybrid.image import Frame, check_aovs
+from glhybrid.passes.aov import Aov
+from glhybrid.passes.composite import Composite
+from glhybrid.passes.display import Display
+from glhybrid.passes.gbuffer import GBufferRaster, GBufferTrace
+from glhybrid.passes.reference import Reference
+from glhybrid.passes.reflect import Reflect
+from glhybrid.passes.shadow import Shadow
+from glhybrid.passes.sky import Sky
+from glhybrid.scene import Camera, Scene
+from glhybrid.settings import Settings
+from glhybrid.shaders import Shaders
+from glhybrid.targets import Targets
+from glhybrid.timing import Timing
+from glhybrid.view import View, choose_camera, make_view
+
+Progress = Callable[[str, int, int], None]
+
+
+class Renderer:
+    """Renders scenes on one device.
+
+    device: auto, gpu, software, egl:N, cuda:N or osmesa. A scene's trees, buffers and programs are kept for the next frame
+    of the same scene. Raises DeviceError where there is no usable OpenGL 4.3.
+    """
+
+    def __init__(self, device: str = "auto", context: Context | None = None) -> None:
+        self._owns_context = context is None
+        self.context = context or open_context(device)
+        self.shaders = Shaders(self.context)
+        self._staged: Staged | None = None
+
+    def render(
+        self,
+        scene: Scene,
+        camera: int | str | Camera | None = None,
+        size: tuple[int, int] = (1280, 720),
+        settings: Settings | None = None,
+        aovs: tuple[str, ...] = (),
+        progress: Progress | None = None,
+    ) -> Frame:
+        """One picture, with the AOVs asked for (image.AOVS) and a receipt.
+
+        size in pixels. `radiance` is always there. Pictures average settings.aa jittered frames (4 if not said);
+        data AOVs are of the exact pixel centres. Raises SettingError, GeometryError or ShaderError.
+        """
+        started = time.perf_counter()
+        settings = settings or Settings()
+        names = check_aovs(aovs)
+        view = make_view(choose_camera(scene, camera), size, scene, self.context.limits.clip_control)
+        staged = self.stage(scene, settings, size, names)
+        staged.look(view)
+        timing = Timing(self.context.gl.finish)
+        radiance = staged.accumulate(timing, progress, started)
+        display = timing.run("display", lambda: staged.display.run(staged.targets, radiance))
+        width, height = size
+        rgb = np.frombuffer(display.read(), np.uint8).reshape(height, width, 4)[::-1, :, :3]
+        first_image_ms = (time.perf_counter() - started) * 1e3
+        arrays = {"radiance": _flip(radiance)[..., :3]} | {n: staged.aov(n, view) for n in names if n != "radiance"}
+        receipt = staged.receipt(view, timing, first_image_ms)
+        return Frame(np.ascontiguousarray(rgb), {n: np.ascontiguousarray(a) for n, a in arrays.items()}, receipt)
+
+    def stage(self, scene: Scene, settings: Settings, size: tuple[int, int], aovs: tuple[str, ...] = ()) -> "Staged":
+        """Everything a scene needs on the GPU under these settings; kept until one of them changes."""
+        current = self._staged
+        if current is not None and current.fits(scene, settings, size, aovs):
+            return current
+        upload = current.upload if current is not None and current.shares_upload(scene, settings) else None
+        if current is not None:
+            current.release(keep_upload=upload is not None)
+            self._staged = None
+        self._staged = Staged(self.context, self.shaders, scene, settings, size, aovs, upload)
+        return self._staged
+
+    def close(self) -> None:
+        """Frees everything. Twice is harmless."""
+        if self._staged is not None:
+            self._staged.release()
+            self._staged = None
+        self.shaders.release()
+        if self._owns_context:
+            self.context.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class Staged:
+    """A scene made ready for one device, one set of settings and one size. The frame is here."""
+
+    def __init__(
+        self,
+        context: Context,
+        shaders: Shaders,
+        scene: Scene,
+        settings: Settings,
+        size: tuple[int, int],
+        aovs: tuple[str, ...],
+        upload: GpuScene | None = None,
+    ) -> None:
+        self.context, self.shaders, self.scene, self.settings, self.aovs = context, shaders, scene, settings, aovs
+        self.plan = plan.make(
+            scene, settings, software=context.device.software, clip_control=context.limits.clip_control
+        )
+        features = self.plan.features
+        if upload is None:
+            data = geometry.build(scene, self.plan.levels, tangents=features.tangents, attributes=features.extra_attributes)
+            upload = GpuScene(context, scene, data, features)
+        self.upload = upload
+        empty = not len(upload.geometry.meshes)
+        features = features.replace(
+            bvh_stack=upload.stack_entries,
+            reason="reason" in aovs,
+            reflections=features.reflections and not empty,
+            visibility=features.visibility and not empty,
+            shadow_rays=features.shadow_rays and not empty,
+        )
+        self.features, self.empty = features, empty
+        self.frame_buffer = context.gl.buffer(reserve=layout.dtype("FrameConstants").itemsize)
+        self.constants = np.zeros(1, layout.dtype("FrameConstants"))
+        self.sky = Sky(context, shaders, scene.environment, features)
+        upload.resources.update(self.sky.resources, Frame=self.frame_buffer)
+        self.targets = Targets(context, size)
+        trace = self.plan.primary == "trace" and not empty
+        self.gbuffer = GBufferTrace(shaders, upload, features) if trace else GBufferRaster(context, shaders, upload, features)
+        self.shadow = Shadow(shaders, upload, features) if features.visibility else None
+        self.reflect = Reflect(shaders, upload, features) if features.reflections else None
+        reference = settings.reflections == "reference"
+        self.reference = Reference(context, shaders, upload, features) if reference else None
+        self.composite = Composite(shaders, upload, features) if not reference else None
+        self.display = Display(context, shaders, self.frame_buffer)
+        self._aov = Aov(shaders, upload, features)
+        self._previous: tuple[Any, Any] | None = None
+        self._ids: Any = None
+
+    def fits(self, scene: Scene, settings: Settings, size: tuple[int, int], aovs: tuple[str, ...]) -> bool:
+        same = scene is self.scene and settings == self.settings and size == self.targets.size
+        return same and ("reason" in aovs) == self.features.reason
+
+    def shares_upload(self, scene: Scene, settings: Settings) -> bool:
+        """Whether trees and buffers serve these settings too."""
+        return scene is self.scene and settings.levels == self.settings.levels
+
+    def look(self, view: View) -> None:
+        """Points the next frames through a view."""
+        self.upload.rebase(view.origin)
+        c, s = self.constants[0], self.settings
+        clip = view.clip_from_world
+        before = clip if self._previous is None else self._previous[0] @ _translation(view.origin - self._previous[1])
+        self._previous = (clip, view.origin)
+        grid_min, grid_step = self.upload.top_grid(view.origin)
+        angle = self.scene.environment.rotation if self.scene.environment else 0.0
+        values: dict[str, Any] = {
+            "clip_from_world": layout.columns(clip), "previous_clip_from_world": layout.columns(before),
+            "eye_ws": view.eye, "pixel_angle": view.pixel_angle, "right_ws": view.right, "up_ws": view.up,
+            "forward_ws": view.forward, "orthographic": view.orthographic, "near": view.camera.near, "seed": s.seed,
+            "size_px": view.size, "light_first": 0, "light_end": len(self.upload.lights),
+            "light_count": len(self.upload.lights), "bounces": s.bounces,
+            "exposure_ev": 0.0 if s.exposure == "auto" else s.exposure, "auto_exposure": s.exposure == "auto",
+            "tone_map": layout.CONSTANTS[f"TONE_{s.tone.upper().replace('-', '_')}"],
+            "environment_x": (np.cos(angle), 0, -np.sin(angle)), "environment_z": (np.sin(angle), 0, np.cos(angle)),
+            "environment_intensity": self.scene.environment.intensity if self.scene.environment else 0.0,
+            "top_root": self.upload.top_root, "top_grid_min": grid_min, "top_grid_step": grid_step,
+        }  # fmt: skip
+        for name, value in values.items():
+            c[name] = value
+
+    def set(self, **values: Any) -> None:
+        """Changes frame constants and uploads them."""
+        for name, value in values.items():
+            self.constants[0][name] = value
+        self.frame_buffer.write(self.constants)
+
+    def frame(self, timing: Timing) -> Any:
+        """Kim's frame: what is seen, what light reaches it, what it reflects, together. Returns linear radiance."""
+        targets, run = self.targets, timing.run
+        timing.frame()
+        assert self.composite is not None
+        visibility = reflection = None
+        ids = run("gbuffer", lambda: self.gbuffer.run(targets))
+        if self.shadow is not None:
+            visibility = run("shadow", lambda: self.shadow.run(targets, ids, self._set_lights))  # type: ignore[union-attr]
+        if self.reflect is not None:
+            reflection = run("reflect", lambda: self.reflect.run(targets, ids))  # type: ignore[union-attr]
+        return run("composite", lambda: self.composite.run(targets, ids, visibility, reflection))  # type: ignore[union-attr]
+
+    def _set_lights(self, first: int, end: int) -> None:
+        self.set(light_first=first, light_end=end)
+
+    def accumulate(self, timing: Timing, progress: Progress | None, started: float) -> Any:
+        """All samples of one picture -> radiance. The centre of the pixel comes last if data was asked for."""
+        if self.reference is not None:
+            self.set(jitter_px=(0, 0))
+            self._ids = self.gbuffer.run(self.targets)
+            return self.reference.run(self.targets, self, timing, progress)
+        count = self.settings.aa or 4
+        radiance = None
+        for i in range(count):
+            self.set(jitter_px=_jitter(i, count), accumulate=i / (i + 1))
+            radiance = self.frame(timing)
+            if progress is not None:
+                progress("frames", i + 1, count)
+        return radiance
+
+    def aov(self, name: str, view: View) -> np.ndarray:
+        """One AOV at the pixel centres, (H, W, ...), row 0 at the top."""
+        if self._ids is None:
+            self.set(jitter_px=(0, 0), accumulate=0)
+            self._ids = self.gbuffer.run(self.targets)
+            if self.shadow is not None:
+                self.shadow.run(self.targets, self._ids, self._set_lights)
+            if self.reflect is not None:
+                self.reflect.run(self.targets, self._ids)
+        width, height = self.targets.size
+        if name == "visibility":
+            return self._visibility(height, width)
+        if name in ("reflection", "reflection_hit"):
+            if self.reflect is None:
+                return np.zeros((height, width, 3) if name == "reflection" else (height, width), np.float32)
+            image = _flip(self.targets.get("reflection"))
+            return image[..., :3] if name == "reflection" else image[..., 3]
+        if name == "reason":
+            if self.reflect is None:
+                return np.zeros((height, width), np.uint8)
+            return np.frombuffer(self.targets.get("reason").read(), np.uint8).reshape(height, width)[::-1]
+        return self._aov.run(self.targets, self._ids, name, view.origin)
+
+    def _visibility(self, height: int, width: int) -> np.ndarray:
+        count = len(self.upload.lights)
+        if self.shadow is None:
+            return np.ones((height, width, count), np.float32)
+        name = "visibility_tint" if self.features.blended else "visibility"
+        image = self.targets.get(name)
+        kind: Any = np.float16 if self.features.blended else np.uint8
+        layers = np.frombuffer(image.read(), kind).reshape(count, height, width, -1)[:, ::-1]
+        values = layers[..., :3].astype(np.float32).mean(-1) / (1 if self.features.blended else 255)
+        return np.moveaxis(values, 0, -1).astype(np.float32)
+
+    def receipt(self, view: View, timing: Timing, first_image_ms: float) -> dict[str, Any]:
+        """What was drawn, how, on what, and how long it took."""
+        scene, medians = self.scene, timing.medians()
+        warnings = list(scene.warnings)
+        if dropped := self.upload.geometry.dropped:
+            warnings.append(f"{dropped} triangles dropped: without area, or with a vertex that is not finite")
+        drawn = [i for i in scene.instances]
+        return {
+            "version": __version__,
+            "scene": {
+                "name": scene.name, "path": str(scene.path) if scene.path else None, "sha256": scene.sha256,
+                "triangles": scene.triangle_count(), "instances": len(drawn), "lights": len(scene.lights),
+                "materials": len(self.upload.geometry.materials), "dropped_triangles": dropped, "warnings": warnings,
+            },
+            "device": self.context.device.to_dict(),
+            "settings": self.settings.to_dict() | {
+                "size": list(view.size), "camera": view.camera.name, "exposure_ev": self.display.exposure_ev(),
+            },
+            "plan": {
+                "passes": list(self.plan.passes), "programs": self.shaders.names, "primary": self.plan.primary,
+                "levels": self.upload.geometry.levels, "reasons": list(self.plan.reasons),
+                "image_bytes": self.targets.bytes + self.sky.bytes + self.upload.image_bytes,
+                "buffer_bytes": self.upload.buffer_bytes + self.frame_buffer.size, "skipped": list(self.plan.skipped),
+            },
+            "bvh": self.upload.bvh_stats(),
+            "passes": [{"name": name, "ms": ms} for name, ms in medians.items()],
+            "frame_ms": sum(ms for ms in medians.values()),
+            "first_image_ms": first_image_ms,
+        }  # fmt: skip
+
+    def release(self, keep_upload: bool = False) -> None:
+        self.targets.release()
+        for owner in (self.gbuffer, self.display, self.sky, self.reference):
+            if owner is not None:
+                owner.release()
+        self.frame_buffer.release()
+        if not keep_upload:
+            self.upload.release()
+
+
+def _jitter(i: int, count: int) -> tuple[float, float]:
+    """Offset from the pixel centre in pixels: a rank-1 lattice over the pixel, none for a single sample."""
+    if count == 1:
+        return 0.0, 0.0
+    return (i + 0.5) / count - 0.5, (i * 0.61803398875 + 0.5) % 1.0 - 0.5
+
+
+def _translation(offset: np.ndarray) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:3, 3] = offset
+    return matrix
+
+
+def _flip(image: Any) -> np.ndarray:
+    """A float image as (H, W, C) float32 with row 0 at the top."""
+    kind = np.float32 if image.dtype == "f4" else np.float16
+    return np.frombuffer(image.read(), kind).reshape(image.height, image.width, image.components)[::-1].astype(np.float32)

@@ -1,0 +1,216 @@
+"""Finds shaders, expands includes, specialises by features, compiles, caches, and binds resources by name.
+
+A program is keyed by its path and by the features that its text names; a feature nobody names is not part of the key,
+so equal programs are shared. Binding numbers are counted here and nowhere else.
+"""
+
+import os
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import moderngl
+
+from glhybrid import layout
+from glhybrid.context import Context
+from glhybrid.errors import ShaderError
+from glhybrid.gl import BufferTexture
+from glhybrid.load.builtin import data_folder
+from glhybrid.needs import Features
+
+Resource = moderngl.Texture | moderngl.TextureArray | moderngl.Buffer | BufferTexture | int | float | tuple[float, ...]
+
+_INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$', re.MULTILINE)
+_WORD = re.compile(r"\b[A-Z][A-Z0-9_]+\b")
+_VERSION = "#version 430 core\n"
+_IMAGE_TYPES = range(0x904C, 0x906D)  # GL_IMAGE_1D .. GL_UNSIGNED_INT_IMAGE_2D_MULTISAMPLE_ARRAY
+_SAMPLER_TYPES = {0x8B5E, 0x8DC1, 0x8DD2, 0x8DD0, 0x8DD8, 0x8DC2, 0x8B60, 0x8DCA}
+
+
+class Source:
+    """One shader after includes: text with #line directives, and the files that the numbers in them mean."""
+
+    def __init__(self, folder: Path, path: str) -> None:
+        self.path = path
+        self.files: list[str] = []
+        self.text = self._expand(folder, path)
+
+    def _expand(self, folder: Path, path: str) -> str:
+        index = len(self.files)
+        self.files.append(path)
+        if path == "layout.glsl":
+            text = layout.glsl_header()
+        else:
+            file = folder / path
+            if not file.is_file():
+                raise ShaderError(f'{file}: shader not found; reinstall glhybrid or check the include "{path}"')
+            text = file.read_text(encoding="utf-8")
+        lines = [f"#line 1 {index}"]
+        for number, line in enumerate(text.splitlines(), start=1):
+            match = _INCLUDE.match(line)
+            if match is None:
+                lines.append(line)
+                continue
+            if match.group(1) not in self.files:  # each file once
+                lines.append(self._expand(folder, match.group(1)))
+            lines.append(f"#line {number + 1} {index}")
+        return "\n".join(lines)
+
+    def specialise(self, features: Features) -> tuple[str, dict[str, int]]:
+        """Full text, and the features it names."""
+        words = set(_WORD.findall(self.text))
+        known = features.defines()
+        if missing := sorted(w for w in words if w.startswith("USE_") and w not in known):
+            raise ShaderError(f"glsl/{self.path}: {missing[0]} is not a field of Features in glhybrid/needs.py")
+        named: dict[str, int] = {}
+        for name, value in known.items():
+            constant = name.removeprefix("USE_")
+            if name in words or (name.startswith("USE_") and constant in words):
+                named[name] = value
+        head = [f"#define {name} {value}" for name, value in named.items()]
+        head += [f"const bool {n[4:]} = bool({n});" for n in named if n.startswith("USE_") and n != "USE_AOV"]
+        return _VERSION + "\n".join(head) + "\n" + self.text, named
+
+    def readable(self, log: str) -> str:
+        """Mesa's `S:L(C):` and NVIDIA's `S(L) :` as `glsl/FILE:LINE:`."""
+
+        def place(match: re.Match[str]) -> str:
+            number = int(match.group(1))
+            name = self.files[number] if number < len(self.files) else self.path
+            return f"glsl/{name}:{match.group(2)}:"
+
+        log = re.sub(r"\b(\d+):(\d+)\(\d+\):", place, log)
+        return re.sub(r"\b(\d+)\((\d+)\) :", place, log)
+
+
+class Program:
+    """A linked program whose resources are given by their GLSL names."""
+
+    def __init__(self, context: Context, name: str, program: Any) -> None:
+        self.name = name
+        self.program = program
+        self._context = context
+        self._bind: dict[str, Callable[[Any], None]] = {}
+        samplers = images = blocks = 0
+        for member in program:
+            handle = program[member]
+            if isinstance(handle, moderngl.StorageBlock):
+                handle.binding = blocks
+                self._bind[member] = self._block_binder(blocks)
+                blocks += 1
+            elif isinstance(handle, moderngl.Uniform):
+                kind = handle.gl_type
+                if kind in _SAMPLER_TYPES:
+                    context.raw.set_sampler(program, member, samplers)
+                    self._bind[member] = self._sampler_binder(samplers)
+                    samplers += 1
+                elif kind in _IMAGE_TYPES:
+                    handle.value = images
+                    self._bind[member] = self._image_binder(images)
+                    images += 1
+                else:
+                    self._bind[member] = self._uniform_setter(handle)
+
+    @property
+    def resources(self) -> frozenset[str]:
+        """Names of everything the linked program reads or writes."""
+        return frozenset(self._bind)
+
+    def _block_binder(self, unit: int) -> Callable[[Any], None]:
+        return lambda buffer: buffer.bind_to_storage_buffer(unit)
+
+    def _sampler_binder(self, unit: int) -> Callable[[Any], None]:
+        def bind(texture: Any) -> None:
+            if isinstance(texture, BufferTexture):
+                texture.bind(unit)
+            else:
+                texture.use(unit)
+
+        return bind
+
+    def _image_binder(self, unit: int) -> Callable[[Any], None]:
+        return lambda texture: texture.bind_to_image(unit, read=True, write=True)
+
+    def _uniform_setter(self, handle: Any) -> Callable[[Any], None]:
+        def assign(value: Any) -> None:
+            handle.value = value
+
+        return assign
+
+    def bind(self, resources: Mapping[str, Any]) -> None:
+        """Binds what the program reads; whatever it does not read is left alone. Nothing may be missing."""
+        for name, bind in self._bind.items():
+            if name not in resources:
+                raise ShaderError(f"{self.name}: nothing given for {sorted(self.resources - resources.keys())}")
+            bind(resources[name])
+
+    def dispatch(self, resources: Mapping[str, Any], size: tuple[int, int], group: tuple[int, int] = (8, 8)) -> None:
+        """Runs once for every element of (width, height), then makes what it wrote visible to all that follows."""
+        self.bind(resources)
+        self.program.run(-(-size[0] // group[0]), -(-size[1] // group[1]), 1)
+        self._context.gl.memory_barrier()
+
+
+class Shaders:
+    """All programs of one context."""
+
+    def __init__(self, context: Context, folder: Path | None = None) -> None:
+        self._context = context
+        self._folder = folder or data_folder("glsl")
+        self._sources: dict[str, Source] = {}
+        self._programs: dict[tuple[str, ...], Program] = {}
+
+    def _source(self, path: str, features: Features) -> tuple[Source, str, dict[str, int]]:
+        if path not in self._sources:
+            self._sources[path] = Source(self._folder, path)
+        source = self._sources[path]
+        text, named = source.specialise(features)
+        if folder := os.environ.get("GLHYBRID_DUMP_SHADERS"):
+            name = f"{path} {_label(named)}".replace("/", "_").strip()[:200]
+            Path(folder, name).write_text(text, encoding="utf-8")
+        return source, text, named
+
+    def compute(self, stem: str, features: Features, folder: str = "passes") -> Program:
+        """glsl/passes/STEM.comp for these features, compiled at first use."""
+        source, text, named = self._source(f"{folder}/{stem}.comp", features)
+        key = (stem, folder, _label(named))
+        if key not in self._programs:
+            name = f"{stem} {_label(named)}".strip()
+            self._programs[key] = self._link(name, (source,), lambda: self._context.gl.compute_shader(text))
+        return self._programs[key]
+
+    def raster(self, stem: str, features: Features) -> Program:
+        """glsl/passes/STEM.vert and STEM.frag, one varying integer output, for these features."""
+        vertex, vertex_text, vertex_named = self._source(f"passes/{stem}.vert", features)
+        fragment, fragment_text, fragment_named = self._source(f"passes/{stem}.frag", features)
+        named = vertex_named | fragment_named
+        key = (stem, "raster", _label(named))
+        if key not in self._programs:
+            name = f"{stem} {_label(named)}".strip()
+            make = lambda: self._context.gl.program(vertex_shader=vertex_text, fragment_shader=fragment_text)  # noqa: E731
+            self._programs[key] = self._link(name, (vertex, fragment), make)
+        return self._programs[key]
+
+    def _link(self, name: str, sources: tuple[Source, ...], make: Callable[[], Any]) -> Program:
+        try:
+            return Program(self._context, name, make())
+        except moderngl.Error as error:
+            log = str(error)
+            for source in sources[-1:] if "fragment" in log else sources[:1]:
+                log = source.readable(log)
+            raise ShaderError(f"{name}: does not compile on {self._context.device}:\n{log}") from None
+
+    @property
+    def names(self) -> list[str]:
+        """Programs compiled so far, each with its features."""
+        return sorted(p.name for p in self._programs.values())
+
+    def release(self) -> None:
+        for program in self._programs.values():
+            program.program.release()
+        self._programs.clear()
+
+
+def _label(named: Mapping[str, int]) -> str:
+    return " ".join(f"{name.removeprefix('USE_')}={value}" for name, value in sorted(named.items()) if value)

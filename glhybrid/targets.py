@@ -1,0 +1,60 @@
+"""Images of a frame, by the channels of layout.py: only those asked for, freed together."""
+
+from typing import Any
+
+import moderngl
+
+from glhybrid.context import Context
+from glhybrid.errors import SettingError
+from glhybrid.layout import CHANNELS
+
+
+class Targets:
+    """Images of one size. `layers` makes an array texture."""
+
+    def __init__(self, context: Context, size: tuple[int, int]) -> None:
+        limit = context.limits.texture_size
+        if max(size) > limit or min(size) < 1:
+            raise SettingError(f"size {size[0]}x{size[1]}: this device draws from 1x1 to {limit}x{limit} pixels")
+        self._context = context
+        self.size = size
+        self._images: dict[str, Any] = {}
+        self._other: list[Any] = []
+
+    def get(self, name: str, layers: int = 0) -> Any:
+        """The image of a channel, allocated at first use."""
+        if name not in self._images:
+            channel = CHANNELS[name]
+            gl = self._context.gl
+            if layers:
+                image: Any = gl.texture_array((*self.size, layers), channel.components, dtype=channel.dtype)
+            else:
+                image = gl.texture(self.size, channel.components, dtype=channel.dtype)
+            image.filter = (moderngl.NEAREST, moderngl.NEAREST)
+            self._images[name] = image
+        return self._images[name]
+
+    def framebuffer(self, name: str) -> moderngl.Framebuffer:
+        """The image of a channel as a raster target, with a 32-bit float depth buffer of its own."""
+        key = f"{name}.framebuffer"
+        if key not in self._images:
+            depth = self._context.raw.depth32f(self._context.gl, self.size)
+            self._other.append(depth)
+            self._images[key] = self._context.gl.framebuffer([self.get(name)], depth)
+        framebuffer: moderngl.Framebuffer = self._images[key]
+        return framebuffer
+
+    @property
+    def bytes(self) -> int:
+        """Of all images, depth included."""
+        total = 4 * self.size[0] * self.size[1] * len(self._other)
+        for name, image in self._images.items():
+            if name in CHANNELS:
+                total += CHANNELS[name].bytes_per_pixel * image.width * image.height * getattr(image, "layers", 1)
+        return total
+
+    def release(self) -> None:
+        for image in [*reversed(self._images.values()), *self._other]:
+            image.release()
+        self._images.clear()
+        self._other.clear()

@@ -1,0 +1,39 @@
+"""Times of passes, around finish(): timer queries report almost nothing on software rasterisers."""
+
+import time
+from collections.abc import Callable
+from statistics import median
+from typing import TypeVar
+
+T = TypeVar("T")
+
+
+class Timing:
+    """Milliseconds by pass, one entry a frame. Off: run() only runs."""
+
+    def __init__(self, finish: Callable[[], None], enabled: bool = True) -> None:
+        self._finish = finish
+        self.enabled = enabled
+        self._frames: list[dict[str, float]] = []
+
+    def frame(self) -> None:
+        """A new frame begins."""
+        self._frames.append({})
+
+    def run(self, name: str, work: Callable[[], T]) -> T:
+        """The result of work(), timed from finish() to finish()."""
+        if not self.enabled:
+            return work()
+        self._finish()
+        start = time.perf_counter()
+        result = work()
+        self._finish()
+        row = self._frames[-1]
+        row[name] = row.get(name, 0.0) + (time.perf_counter() - start) * 1e3
+        return result
+
+    def medians(self) -> dict[str, float]:
+        """By pass, over all frames but the first, which also compiles (unless it is the only one)."""
+        frames = self._frames[1:] or self._frames
+        names = dict.fromkeys(name for frame in frames for name in frame)
+        return {name: median(frame[name] for frame in frames if name in frame) for name in names}

@@ -1,0 +1,255 @@
+// lib/bvh.glsl -- traversal of the two-level structure: closest_hit and any_hit.
+//
+// Node: two children in two texels, 16-bit box planes on a grid and a ref each. Bounded inner loop ("at most
+// BVH_INNER_STEPS inner nodes, then at most one leaf") keeps the lanes of a GPU together; on a CPU the bound is large.
+// Triangle test: Woop, Benthin, Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1) 2013. `precise` is what makes
+// it watertight: an fma contracted on one side of a shared edge only opens a crack.
+// Boxes: Ize, "Robust BVH Ray Traversal", JCGT 2(2) 2013, with the bound taken in grid cells per axis instead of in ulps of t.
+#include "lib/geometry.glsl"
+#include "lib/texture.glsl"
+
+uniform usamplerBuffer nodes;   // 2 texels each
+uniform usamplerBuffer slots;   // 3 texels each: v0, triangle; v1, geometry; v2, kind
+
+const uint LEAF = 0x80000000u;
+const uint REF_END = 0xFFFFFFFFu;      // bottom of the stack
+const uint REF_RETURN = 0xFFFFFFFEu;   // the instance is done: back to the world's ray
+
+// What a ray sees.
+const uint SEE_SURFACES = 0u;      // camera and reflection rays: single-sided back faces and blended surfaces are invisible
+const uint SEE_BLOCKERS = 1u;      // shadow rays: everything, blended surfaces tint; stops at the first full blocker
+const uint SEE_BLENDED = 2u;       // only blended surfaces
+
+// One stack for every traversal in the shader: each copy would cost its bytes in local memory, used or not.
+uint stack[BVH_STACK];
+#if USE_STEP_COUNTER
+uint step_count = 0u;
+#endif
+
+// A ray in the space of one tree, with what the box and triangle tests need of it.
+struct LocalRay {
+    vec3 origin, dir;
+    vec3 inv_dir, lo_offset, hi_offset;   // in grid cells: t = plane * inv_dir - offset
+    vec3 shear;                           // x, y, z of the watertight test
+    int axis;                             // of the largest direction component
+};
+
+vec3 permute(vec3 v, int axis) { return axis == 2 ? v : (axis == 0 ? v.yzx : v.zxy); }
+
+LocalRay local_ray(vec3 origin, vec3 dir, vec3 grid_min, vec3 grid_step) {
+    LocalRay r;
+    r.origin = origin;
+    r.dir = dir;
+    vec3 d = dir / grid_step;
+    // A zero component would make 0 * inf = NaN on a slab plane; 1e-20 keeps every product finite.
+    d = mix(d, mix(vec3(-1e-20), vec3(1e-20), greaterThanEqual(d, vec3(0.0))), lessThan(abs(d), vec3(1e-20)));
+    r.inv_dir = 1.0 / d;
+    vec3 o = (origin - grid_min) / grid_step;
+    // Rounding of plane and origin, in cells: under 10 * 2^-24 of the larger of both; the boxes are widened by that.
+    vec3 pad = (abs(o) + 65536.0) * 6e-7;
+    r.lo_offset = (o + pad) * r.inv_dir;
+    r.hi_offset = (o - pad) * r.inv_dir;
+    vec3 a = abs(dir);
+    r.axis = a.x > a.y ? (a.x > a.z ? 0 : 2) : (a.y > a.z ? 1 : 2);
+    vec3 p = permute(dir, r.axis);
+    r.shear = vec3(p.x / p.z, p.y / p.z, 1.0 / p.z);
+    return r;
+}
+
+// Entry distance into a child's box, or a value above t_max.
+float box_entry(uvec3 planes, LocalRay r, float t_min, float t_max) {
+    vec3 t0 = vec3(planes & 0xFFFFu) * r.inv_dir - r.lo_offset;
+    vec3 t1 = vec3(planes >> 16u) * r.inv_dir - r.hi_offset;
+    float near = max(max3(min(t0, t1)), t_min);
+    float far = min(min3(max(t0, t1)), t_max);
+    return near <= far ? near : INFINITY;
+}
+
+// Woop's test. Returns det (0 = outside) and the scaled weights of v0, v1, v2, and the depths along the ray's main axis.
+float triangle_weights(LocalRay r, vec3 v0, vec3 v1, vec3 v2, out vec3 weights, out vec3 depths) {
+    vec3 a = permute(v0 - r.origin, r.axis), b = permute(v1 - r.origin, r.axis), c = permute(v2 - r.origin, r.axis);
+    precise float ax = a.x - r.shear.x * a.z, ay = a.y - r.shear.y * a.z;
+    precise float bx = b.x - r.shear.x * b.z, by = b.y - r.shear.y * b.z;
+    precise float cx = c.x - r.shear.x * c.z, cy = c.y - r.shear.y * c.z;
+    precise float u0 = cx * by, u1 = cy * bx, u = u0 - u1;
+    precise float v_0 = ax * cy, v_1 = ay * cx, v = v_0 - v_1;
+    precise float w0 = bx * ay, w1 = by * ax, w = w0 - w1;
+    weights = vec3(u, v, w);
+    depths = vec3(a.z, b.z, c.z) * r.shear.z;
+    bool inside = min3(weights) >= 0.0 || max3(weights) <= 0.0;
+    return inside ? u + v + w : 0.0;
+}
+
+// Moeller-Trumbore, the control of the leak tests: it must fail where the test above holds.
+float triangle_weights_mt(LocalRay r, vec3 v0, vec3 v1, vec3 v2, out vec3 weights, out vec3 depths) {
+    vec3 e1 = v1 - v0, e2 = v2 - v0, s = r.origin - v0;
+    vec3 p = cross(r.dir, e2), q = cross(s, e1);
+    float det = dot(e1, p);
+    float v = dot(s, p) / det, w = dot(r.dir, q) / det;
+    weights = vec3(1.0 - v - w, v, w);
+    depths = vec3(dot(e2, q) / det);
+    return v >= 0.0 && w >= 0.0 && v + w <= 1.0 ? 1.0 : 0.0;
+}
+
+// The intersection function of KIND_TRIANGLE. True if the ray meets it within [t_min, t_max]; front: it meets the wound side.
+bool intersect_triangle(LocalRay r, vec3 v0, vec3 v1, vec3 v2, float t_min, float t_max,
+                        out float t, out vec2 bary, out bool front) {
+    vec3 weights, depths;
+#if USE_MOELLER_TRUMBORE
+    float det = triangle_weights_mt(r, v0, v1, v2, weights, depths);
+#else
+    float det = triangle_weights(r, v0, v1, v2, weights, depths);
+#endif
+    bary = weights.yz / det;
+    // t from the plane: more exact than the weighted depths; clamped to them, where a sliver's normal is noise.
+    vec3 n = cross(v1 - v0, v2 - v0);
+    float facing = dot(r.dir, n);
+    t = clamp(dot(v0 - r.origin, n) / facing, min3(depths), max3(depths));
+    if (facing == 0.0) t = dot(weights, depths) / det;
+    front = facing < 0.0;
+    return det != 0.0 && t >= t_min && t <= t_max;                               // a NaN t fails
+}
+
+// The intersection function of KIND_SPHERE. The nearer root within [t_min, t_max].
+// Haines et al., "Precision Improvements for Ray/Sphere Intersection", Ray Tracing Gems (2019), ch. 7.
+bool intersect_sphere(LocalRay r, vec3 centre, float radius, float t_min, float t_max, out float t, out bool front) {
+    vec3 f = r.origin - centre;
+    float a = dot(r.dir, r.dir), b = -dot(f, r.dir);
+    vec3 away = f + (b / a) * r.dir;
+    float under = radius * radius - dot(away, away);
+    float q = b + (b >= 0.0 ? 1.0 : -1.0) * sqrt(a * max(under, 0.0));
+    float t0 = (dot(f, f) - radius * radius) / q, t1 = q / a;
+    float near = min(t0, t1), far = max(t0, t1);
+    front = near >= t_min;
+    t = front ? near : far;
+    return under >= 0.0 && t >= t_min && t <= t_max;
+}
+
+// The any-hit function: what is at this point of the surface for this kind of ray?  1 = nothing, 0 = a full blocker or a
+// surface to stop at, between = a tint on the way (SEE_BLOCKERS only).
+vec3 transmittance_at(HitGroup group, Hit hit, bool front, uint see) {
+    if (see != SEE_BLOCKERS) {
+        bool blended = group.any_hit == ANY_HIT_TINT;
+        if (SINGLE_SIDED && group.single_sided == 1u && !front) return vec3(1.0);
+        if (BLENDED && blended != (see == SEE_BLENDED)) return vec3(1.0);
+    }
+    if (!ALPHA_TEST && !BLENDED) return vec3(0.0);
+    vec3 result = vec3(0.0);
+    // A loop, not an if: llvmpipe runs the body of an if with no lane alive, texture fetches and all.
+    for (bool look = group.any_hit == ANY_HIT_MASK || (see == SEE_BLOCKERS && group.any_hit == ANY_HIT_TINT); look; look = false) {
+        Material m = materials[group.material];
+        vec4 color = base_color_at(m, hit);
+        if (group.any_hit == ANY_HIT_MASK) result = vec3(color.a < m.alpha_cutoff ? 1.0 : 0.0);
+        else result = tint_at(m, color, hit);
+    }
+    return result;
+}
+
+// Follows one ray through the structure. SEE_BLOCKERS: tint is what is left of the light; others: hit is the nearest.
+void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
+    const bool closest = see != SEE_BLOCKERS;
+    float t_max = ray.t_max;
+    uint instance = TWO_LEVEL ? ID_NONE : 0u;
+    LocalRay world, local;
+    Instance root = instances[0];
+#if USE_TWO_LEVEL
+    world = local_ray(ray.origin, ray.dir, frame.top_grid_min, frame.top_grid_step);
+    local = world;
+    uint cur = frame.top_root;
+#else
+    local = local_ray(ray.origin + root.object_from_world[3], ray.dir, root.grid_min, root.grid_step);
+    uint cur = root.root;
+#endif
+    int sp = 0;
+    stack[0] = REF_END;
+    while (cur != REF_END) {
+        for (int i = 0; i < BVH_INNER_STEPS && (cur & LEAF) == 0u; i++) {
+            uvec4 a = texelFetch(nodes, int(cur) * 2), b = texelFetch(nodes, int(cur) * 2 + 1);
+            float ta = box_entry(a.xyz, local, ray.t_min, t_max), tb = box_entry(b.xyz, local, ray.t_min, t_max);
+            bool a_first = ta <= tb;
+            float nearer = min(ta, tb), farther = max(ta, tb);
+            // "< INFINITY" also sends a NaN away. Far child on the stack, near child next; none: the stack's top.
+            if (farther < INFINITY) stack[++sp] = a_first ? b.w : a.w;
+            if (nearer < INFINITY) cur = a_first ? a.w : b.w;
+            else cur = stack[sp--];
+#if USE_STEP_COUNTER
+            step_count++;
+#endif
+        }
+        if ((cur & LEAF) != 0u && cur != REF_END) {
+#if USE_TWO_LEVEL
+            if (cur == REF_RETURN) {
+                instance = ID_NONE;
+                local = world;
+                cur = stack[sp--];
+                continue;
+            }
+            if (instance == ID_NONE) {
+                instance = (cur & ~LEAF) >> 4u;
+                Instance inst = instances[instance];
+                mat3 m = mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]);
+                local = local_ray(m * ray.origin + inst.object_from_world[3], m * ray.dir, inst.grid_min, inst.grid_step);
+                stack[++sp] = REF_RETURN;
+                cur = inst.root;
+                continue;
+            }
+#endif
+            uint first = (cur & ~LEAF) >> 4u, count = cur & 15u;
+            for (uint s = first; s < first + count; s++) {
+                uvec4 s0 = texelFetch(slots, int(s) * 3), s1 = texelFetch(slots, int(s) * 3 + 1), s2 = texelFetch(slots, int(s) * 3 + 2);
+                Hit candidate = Hit(0.0, vec2(0.0), instance, s0.w, s1.w);
+                bool front, met;
+                if (SPHERES && s2.w == KIND_SPHERE)
+                    met = intersect_sphere(local, uintBitsToFloat(s0.xyz), uintBitsToFloat(s1.x), ray.t_min, t_max, candidate.t, front);
+                else
+                    met = intersect_triangle(local, uintBitsToFloat(s0.xyz), uintBitsToFloat(s1.xyz), uintBitsToFloat(s2.xyz),
+                                             ray.t_min, t_max, candidate.t, candidate.bary, front);
+#if USE_STEP_COUNTER
+                step_count++;
+#endif
+                // Of surfaces at one distance the lowest id wins, whatever the order of the tree: the raster's rule too.
+                met = met && (!closest || candidate.t < hit.t || candidate.triangle < hit.triangle);
+                if (ALPHA_TEST || BLENDED || (SINGLE_SIDED && closest)) {
+                    for (bool ask = met; ask; ask = false) {
+                        HitGroup group = hit_group_of(instance, candidate.geometry);
+                        vec3 through = transmittance_at(group, candidate, front, see);
+                        if (see == SEE_BLOCKERS) { tint *= through; met = max3(tint) <= 0.0; }
+                        else met = max3(through) <= 0.0;
+                    }
+                } else if (met && !closest) tint = vec3(0.0);
+                if (met) {
+                    hit = candidate;
+                    t_max = candidate.t;
+                    if (!closest) return;
+                }
+            }
+            cur = stack[sp--];
+        }
+    }
+}
+
+// The nearest surface that a camera or reflection ray sees.
+Hit closest_hit(Ray ray) {
+    Hit hit = MISS;
+    vec3 tint = vec3(1.0);
+    traverse(ray, SEE_SURFACES, hit, tint);
+    return hit;
+}
+
+// The share of light that arrives along a shadow ray: 0 or 1, between only through tinted surfaces.
+vec3 any_hit(Ray ray) {
+    Hit hit = MISS;
+    vec3 tint = vec3(1.0);
+    traverse(ray, SEE_BLOCKERS, hit, tint);
+    return tint;
+}
+
+#if USE_BLENDED
+// The nearest blended surface beyond t_min.
+Hit closest_blended(Ray ray) {
+    Hit hit = MISS;
+    vec3 tint = vec3(1.0);
+    traverse(ray, SEE_BLENDED, hit, tint);
+    return hit;
+}
+#endif

@@ -1,0 +1,22 @@
+// lib/gbuffer.glsl -- from a pixel of the G-buffer to its surface.
+// The G-buffer is as thin as it can be: ids only. Points come from triangle id and barycentrics, never from depth, and
+// materials from the same tables as ray hits: one code path, and no rounding that a render target would add.
+#include "lib/surface.glsl"
+
+uniform usampler2D gbuffer_id;    // instance, triangle
+
+struct Pixel { Ray ray; Hit hit; };
+
+bool covered(Pixel p) { return p.hit.triangle != ID_NONE; }
+
+Pixel load_pixel(ivec2 px) {
+    Pixel p = Pixel(primary_ray(px), MISS);
+    uvec2 id = texelFetch(gbuffer_id, px, 0).xy;
+    for (bool look = id.y != ID_NONE; look; look = false) p.hit = hit_known(p.ray, id.x, id.y);
+    return p;
+}
+
+// Diameter of a pixel's footprint at a distance along its ray.
+float footprint(float t) { return frame.orthographic == 1u ? frame.pixel_angle : frame.pixel_angle * t; }
+
+Surface load_surface(Pixel p) { return surface_at(p.hit, p.ray, footprint(p.hit.t)); }

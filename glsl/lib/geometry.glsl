@@ -1,0 +1,133 @@
+// lib/geometry.glsl -- the scene's tables, and from a hit to an exact point.
+// Large arrays are read through buffer textures (the fast path on Mesa's llvmpipe, never slower on NVIDIA), small ones
+// through storage blocks. Floats travel as bits in RGBA32UI texels, so that ids and coordinates share one fetch.
+#include "lib/frame.glsl"
+#include "lib/math.glsl"
+
+uniform usamplerBuffer vertices;     // 2 texels each: position, u; normal, v (a sphere: centre, 0; radius, 0, 0, 0)
+uniform usamplerBuffer triangles;    // 1 texel each: three rows of vertices, geometry index in its mesh
+#if USE_TANGENTS
+uniform usamplerBuffer tangents;     // 1 texel a vertex: direction, handedness
+#endif
+#if USE_EXTRA_ATTRIBUTES
+uniform usamplerBuffer attributes;   // 1 texel a vertex: second uv set, colour as 4 x half
+#endif
+
+layout(std430) readonly buffer Instances { Instance instances[]; };
+layout(std430) readonly buffer Records { Record records[]; };
+layout(std430) readonly buffer HitGroups { HitGroup hit_groups[]; };
+layout(std430) readonly buffer Materials { Material materials[]; };
+
+struct Hit {
+    float t;         // INFINITY: a miss
+    vec2 bary;       // weights of the second and third vertex; a sphere: unused
+    uint instance;   // row of instances
+    uint triangle;   // row of triangles; ID_NONE: a miss
+    uint geometry;   // of the triangle, in its mesh
+};
+
+const Hit MISS = Hit(INFINITY, vec2(0.0), ID_NONE, ID_NONE, 0u);
+
+Record record_of(uint instance, uint geometry) { return records[instances[instance].first_record + geometry]; }
+HitGroup hit_group_of(uint instance, uint geometry) { return hit_groups[record_of(instance, geometry).hit_group]; }
+
+vec3 vertex_position(uint i) { return uintBitsToFloat(texelFetch(vertices, int(i) * 2).xyz); }
+
+// A point on a surface, in world space, and how far off its plane rounding may have put it.
+struct Point {
+    vec3 position;
+    vec3 n_geo;      // unit, of the front side: glTF turns the winding over in mirrored instances, as does this transform
+    float offset;    // m along n_geo that is sure to clear the surface
+    vec2 uv;
+};
+
+// Error bounds of a point rebuilt from barycentrics, so that a ray leaving it along +-n_geo cannot find it again:
+// NVIDIA, "Solving Self-Intersection Artifacts in DirectX Raytracing" (2023): 2^-24 per rounding, summed over the
+// reconstruction, the transform to the world and the transform back that the next ray goes through.
+float spawn_offset(vec3 object_err, vec3 position_os, vec3 position_ws, vec3 n_os, vec3 n_ws, float n_scale, Instance inst) {
+    mat3 m = mat3(abs(inst.world_from_object[0]), abs(inst.world_from_object[1]), abs(inst.world_from_object[2]));
+    mat3 w = mat3(abs(inst.object_from_world[0]), abs(inst.object_from_world[1]), abs(inst.object_from_world[2]));
+    vec3 world_err = 1.7881394e-7 * (m * abs(position_os)) + 1.1920931e-7 * abs(inst.world_from_object[3]);
+    object_err += 1.1920931e-7 * (w * abs(position_ws) + abs(inst.object_from_world[3]));
+    // The offset itself is added in float: one more rounding of the position.
+    world_err += 5.9604645e-8 * abs(position_ws);
+    return dot(world_err, abs(n_ws)) + n_scale * dot(object_err, abs(n_os));
+}
+
+Point triangle_point(uvec4 tri, vec2 bary, Instance inst) {
+    vec3 v0 = vertex_position(tri.x);
+    vec3 e1 = vertex_position(tri.y) - v0;
+    vec3 e2 = vertex_position(tri.z) - v0;
+    precise vec3 p_os = v0 + (bary.x * e1 + bary.y * e2);                        // the base vertex last: least error
+    precise vec3 p_ws = inst.world_from_object[3] + mat3(inst.world_from_object[0], inst.world_from_object[1],
+                                                         inst.world_from_object[2]) * p_os;
+    // Scaled by the longest edge first: the cross product of tiny edges would underflow, of huge ones overflow.
+    float extent = max3(abs(e1) + abs(e2) + abs(abs(e1) - abs(e2)));
+    vec3 n_os = normalize(cross(e1 / extent, e2 / extent));
+    vec3 n_ws = vec3(dot(inst.object_from_world[0], n_os), dot(inst.object_from_world[1], n_os),
+                     dot(inst.object_from_world[2], n_os));                      // inverse transpose
+    float n_scale = inversesqrt(dot(n_ws, n_ws));
+    n_ws *= n_scale;
+    vec3 object_err = 5.9604645e-8 * abs(v0) + 1.7881394e-7 * extent;
+    return Point(p_ws, n_ws, spawn_offset(object_err, p_os, p_ws, n_os, n_ws, n_scale, inst), vec2(0.0));
+}
+
+// The point of a sphere under a ray; bary is not used: the point is put back on the sphere along its radius.
+Point sphere_point(uvec4 tri, Ray ray, float t, Instance inst) {
+    vec3 centre = vertex_position(tri.x);
+    float radius = uintBitsToFloat(texelFetch(vertices, int(tri.x) * 2 + 1).x);
+    mat3 object_from_world = mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]);
+    vec3 origin_os = object_from_world * ray.origin + inst.object_from_world[3];
+    vec3 n_os = normalize(origin_os + t * (object_from_world * ray.dir) - centre);
+    vec3 p_os = centre + radius * n_os;
+    vec3 p_ws = inst.world_from_object[3] + mat3(inst.world_from_object[0], inst.world_from_object[1],
+                                                 inst.world_from_object[2]) * p_os;
+    vec3 n_ws = vec3(dot(inst.object_from_world[0], n_os), dot(inst.object_from_world[1], n_os),
+                     dot(inst.object_from_world[2], n_os));
+    float n_scale = inversesqrt(dot(n_ws, n_ws));
+    n_ws *= n_scale;
+    // The quadratic's rounding grows with the radius, not with an edge: 2^-20 of it.
+    vec3 object_err = 5.9604645e-8 * abs(centre) + 9.5367432e-7 * radius;
+    vec2 uv = vec2(atan(n_os.x, n_os.z) / (2.0 * PI) + 0.5, acos(clamp(n_os.y, -1.0, 1.0)) / PI);
+    return Point(p_ws, n_ws, spawn_offset(object_err, p_os, p_ws, n_os, n_ws, n_scale, inst), uv);
+}
+
+// Where a ray leaves: on the side of the surface that `dir` points to.
+vec3 ray_origin(Point p, vec3 dir) { return p.position + (dot(dir, p.n_geo) >= 0.0 ? p.offset : -p.offset) * p.n_geo; }
+
+// Barycentrics of a primary ray on the triangle that the raster says covers the pixel, clamped to it: the raster snaps
+// vertices to 1/256 px, so at an edge the exact ray may pass just outside, and a grazing plane is then far away.
+vec2 clamp_bary(vec2 b) {
+    if (!(b.x == b.x && b.y == b.y)) return vec2(1.0 / 3.0);                     // an edge-on triangle: its middle
+    b = max(b, vec2(0.0));
+    float sum = b.x + b.y;
+    return sum > 1.0 ? b / sum : b;
+}
+
+// The hit of a ray with the plane of one known triangle (or its sphere).
+Hit hit_known(Ray ray, uint instance, uint triangle) {
+    Instance inst = instances[instance];
+    uvec4 tri = texelFetch(triangles, int(triangle));
+    mat3 object_from_world = mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]);
+    vec3 o = object_from_world * ray.origin + inst.object_from_world[3];
+    vec3 d = object_from_world * ray.dir;
+    vec3 v0 = vertex_position(tri.x);
+    Hit hit = Hit(0.0, vec2(0.0), instance, triangle, tri.w);
+    if (SPHERES && hit_group_of(instance, tri.w).kind == KIND_SPHERE) {
+        float radius = uintBitsToFloat(texelFetch(vertices, int(tri.x) * 2 + 1).x);
+        vec3 f = o - v0;
+        float t_mid = -dot(f, d) / dot(d, d);
+        vec3 away = f + t_mid * d;
+        float h = sqrt(max(0.0, (radius * radius - dot(away, away)) / dot(d, d)));
+        hit.t = t_mid - h > 0.0 ? t_mid - h : t_mid + h;
+        return hit;
+    }
+    vec3 e1 = vertex_position(tri.y) - v0, e2 = vertex_position(tri.z) - v0;
+    vec3 s = o - v0;
+    vec3 p = cross(d, e2), q = cross(s, e1);
+    float inv_det = 1.0 / dot(e1, p);
+    hit.bary = clamp_bary(vec2(dot(s, p), dot(d, q)) * inv_det);
+    // t of the clamped point, so that distance and position tell one story.
+    hit.t = dot(v0 + hit.bary.x * e1 + hit.bary.y * e2 - o, d) / dot(d, d);
+    return hit;
+}

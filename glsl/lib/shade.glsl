@@ -1,0 +1,115 @@
+// lib/shade.glsl -- the closest-hit program's second half, and the miss program: radiance that leaves a surface towards
+// a ray. `ray-lerp` of Kim (section 7): mirror ray and blurred sky, interpolated by roughness.
+#include "lib/surface.glsl"
+#include "lib/light.glsl"
+#include "lib/environment.glsl"
+
+#if USE_SPECULAR_SKY || USE_REFLECTIONS
+uniform sampler2D dfg;    // (F0 scale, F90 bias) over (NoV, roughness): Karis, "Real Shading in Unreal Engine 4" (2013)
+
+vec3 specular_albedo(Bsdf b, vec3 v) {
+    float NoV = clamp(dot(b.n, v), 0.0, 1.0);
+    if (is_mirror(b)) return specular_fresnel(b, NoV);
+    // Texel centres carry the ends of both ranges.
+    vec2 uv = (vec2(NoV, b.roughness) * float(DFG_SIZE - 1) + 0.5) / float(DFG_SIZE);
+    vec2 ab = textureLod(dfg, uv, 0.0).rg;
+    return specular_f0(b) * ab.x + specular_f90(b) * ab.y;
+}
+#endif
+
+// Does the light reach the front of this surface at all, if nothing is in between?
+bool faces(Surface s, vec3 l) {
+    return dot(s.point.n_geo, l) > 0.0 && (dot(s.bsdf.n, l) > 0.0 || (CLEARCOAT && dot(s.bsdf.n_coat, l) > 0.0)) && !s.unlit;
+}
+
+// The share of a light that arrives here: 0 or 1, between through tinted surfaces.
+vec3 visibility_of(Point p, LightSample sample_ws) {
+    return any_hit(Ray(ray_origin(p, sample_ws.dir), 0.0, sample_ws.dir, sample_ws.distance));
+}
+
+// Direct light of all lamps, each with its own shadow ray.
+vec3 direct_light(Surface s, vec3 v) {
+    vec3 sum = vec3(0.0);
+    for (uint i = 0u; i < frame.light_count; i++) {
+        LightSample l = light_at(lights[i], s.point.position);
+        for (bool lit = arrives(l) && faces(s, l.dir); lit; lit = false) {
+            vec3 f = bsdf_eval(s.bsdf, v, l.dir) * l.irradiance;
+#if USE_SHADOW_RAYS
+            f *= visibility_of(s.point, l);
+#endif
+            sum += f;
+        }
+    }
+    return sum;
+}
+
+// The layer whose mirror direction a reflection ray follows: the smoother of base and clearcoat.
+bool coat_leads(Bsdf b) { return CLEARCOAT && b.clearcoat > 0.0 && b.clearcoat_roughness < b.roughness; }
+float mirror_roughness(Surface s) { return coat_leads(s.bsdf) ? s.bsdf.clearcoat_roughness : s.bsdf.roughness; }
+
+// Mirror direction at a surface; a direction under the geometric plane is bent back onto it.
+vec3 mirror_direction(Surface s, vec3 v, out bool bent) {
+    vec3 r = reflect(-v, coat_leads(s.bsdf) ? s.bsdf.n_coat : s.bsdf.n);
+    float below = dot(r, s.point.n_geo);
+    bent = below < 1e-4;
+    if (bent) r = normalize(r + (1e-3 - below) * s.point.n_geo);
+    return r;
+}
+
+// Emission, sky on the diffuse lobe, and what the specular lobe shows. `traced` is the radiance along the mirror
+// direction; give the prefiltered sky there for a surface that spends no ray.
+vec3 indirect_light(Surface s, vec3 v, vec3 mirror_dir, vec3 traced, bool has_traced) {
+    vec3 result = vec3(0.0);
+    Bsdf b = s.bsdf;
+#if USE_ENVIRONMENT
+    vec3 c_diff = b.base_color * (1.0 - b.metallic) * (1.0 - b.transmission);
+    result += c_diff * environment_irradiance(b.n) * s.occlusion;
+#endif
+#if USE_SPECULAR_SKY || USE_REFLECTIONS
+    vec3 specular = vec3(0.0);
+    vec3 sky = SPECULAR_SKY ? environment_prefiltered(mirror_dir, b.roughness) : vec3(0.0);
+    specular = has_traced ? (is_mirror(b) ? traced : mix(traced, sky, b.roughness)) : sky;
+    result += specular_albedo(b, v) * specular;
+    if (CLEARCOAT && b.clearcoat > 0.0) {
+        float f = coat_fresnel(b, clamp(dot(b.n_coat, v), 0.0, 1.0));
+        vec3 coat_sky = SPECULAR_SKY ? environment_prefiltered(mirror_dir, b.clearcoat_roughness) : vec3(0.0);
+        result = result * (1.0 - f) + f * (has_traced ? mix(traced, coat_sky, b.clearcoat_roughness) : coat_sky);
+    }
+#endif
+    return result;
+}
+
+// Radiance of a hit seen by a reflection ray: no second reflection, the sky stands in (Kim, section 5).
+vec3 shade_hit(Surface s, vec3 v) {
+    if (s.unlit) return s.emissive;
+    bool bent;
+    vec3 r = mirror_direction(s, v, bent);
+    return s.emissive + direct_light(s, v) + indirect_light(s, v, r, vec3(0.0), false);
+}
+
+// How much of a blended surface is seen, and what is behind it is multiplied by.
+vec3 layer_transmittance(Surface s) { return 1.0 - s.alpha * (1.0 - s.bsdf.transmission * s.bsdf.base_color); }
+
+const int MAX_LAYERS = 8;    // of blended surfaces along one ray; those behind are not drawn
+
+// Radiance along a ray whose cone has width_0 at its origin and widens by `spread` a metre: what a reflection shows.
+vec3 trace_radiance(Ray ray, float width_0, float spread, out Hit hit) {
+    hit = closest_hit(ray);
+    vec3 radiance = vec3(0.0);
+    if (hit.triangle == ID_NONE) radiance = environment_radiance(ray.dir);
+    else radiance = shade_hit(surface_at(hit, ray, width_0 + spread * hit.t), -ray.dir);
+#if USE_BLENDED
+    vec3 through = vec3(1.0), layers = vec3(0.0);
+    Ray rest = Ray(ray.origin, ray.t_min, ray.dir, hit.t);
+    for (int i = 0; i < MAX_LAYERS; i++) {
+        Hit layer = closest_blended(rest);
+        if (layer.triangle == ID_NONE) break;
+        Surface s = surface_at(layer, ray, width_0 + spread * layer.t);
+        layers += through * s.alpha * shade_hit(s, -ray.dir);
+        through *= layer_transmittance(s);
+        rest.t_min = uintBitsToFloat(floatBitsToUint(layer.t) + 1u);
+    }
+    radiance = layers + through * radiance;
+#endif
+    return radiance;
+}

@@ -1,0 +1,140 @@
+// lib/surface.glsl -- everything shading needs to know about a hit: the closest-hit program's first half.
+#include "lib/bvh.glsl"
+#include "lib/brdf.glsl"
+
+struct Surface {
+    Point point;         // exact position, n_geo turned to the viewer
+    Bsdf bsdf;
+    vec3 emissive;       // radiance
+    float alpha;         // coverage: 1 unless ALPHA_BLEND
+    float occlusion;     // of the baked map, 1 = open
+    bool unlit;
+    uint material;
+    uint record;
+};
+
+#if USE_NORMAL_MAP
+// Tangent-space normal to world. tangent_ws need not be unit or orthogonal (MikkTSpace: neither is restored a pixel).
+vec3 mapped_normal(int index, float scale, Attributes a, float log2_area, vec3 n, vec4 tangent) {
+    vec3 m = sample_texture(index, a.uv0, a.uv1, log2_area, false).xyz * 2.0 - 1.0;   // 127.5 is flat: glTF 3.9.3
+    m.xy *= scale;
+    vec3 t = tangent.xyz, b = cross(n, t) * tangent.w;
+    vec3 mapped = m.x * t + m.y * b + m.z * n;
+    float len = length(mapped);
+    return len > 0.0 ? mapped / len : n;
+}
+#endif
+
+// ray: the one that found the hit. footprint: diameter in m of what it stands for, at the hit (0 = finest texture level).
+Surface surface_at(Hit hit, Ray ray, float footprint) {
+    Surface s;
+    Instance inst = instances[hit.instance];
+    uvec4 tri = texelFetch(triangles, int(hit.triangle));
+    Record record = records[inst.first_record + tri.w];
+    s.record = inst.first_record + tri.w;
+    HitGroup group = hit_groups[record.hit_group];
+    Material m = materials[group.material];
+    s.material = group.material;
+    bool sphere = SPHERES && group.kind == KIND_SPHERE;
+
+    s.point = triangle_point(tri, hit.bary, inst);
+    if (sphere) s.point = sphere_point(tri, ray, hit.t, inst);
+    vec3 to_viewer = -ray.dir;
+    float side = dot(s.point.n_geo, to_viewer) < 0.0 ? -1.0 : 1.0;
+    s.point.n_geo *= side;
+
+    vec3 w = vec3(1.0 - hit.bary.x - hit.bary.y, hit.bary);
+    mat3 to_world = mat3(inst.world_from_object[0], inst.world_from_object[1], inst.world_from_object[2]);
+    mat3 normal_from_object = transpose(mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]));
+    vec3 n_shade = s.point.n_geo;
+    if (!sphere) {
+        vec3 n_os = vec3(0.0);
+        for (int i = 0; i < 3; i++) n_os += w[i] * uintBitsToFloat(texelFetch(vertices, int(tri[i]) * 2 + 1).xyz);
+        vec3 n = normal_from_object * n_os;
+        float len = length(n);
+        // Normals are stored for the wound side; the viewer may be on the other, and a mirrored instance flips the winding.
+        if (len > 0.0) n_shade = n * (side / len);
+    }
+    s.bsdf.n = n_shade;
+    s.bsdf.n_coat = n_shade;
+
+    Attributes a = attributes_at(hit);
+#if USE_TEXTURES
+    float log2_area = FINEST_LEVEL;
+    if (sphere) { a.uv0 = s.point.uv; a.uv1 = s.point.uv; }
+    if (footprint > 0.0 && !sphere) {
+        // Ray cones (Akenine-Moeller et al., Ray Tracing Gems (2019), ch. 20): area of the footprint on the surface over the
+        // triangle's area, in its uv; the true, slanted footprint has area 1 / cos.
+        vec3 v0 = vertex_position(tri.x), e1 = vertex_position(tri.y) - v0, e2 = vertex_position(tri.z) - v0;
+        float world_area = length(cross(to_world * e1, to_world * e2));
+        vec2 t[3];
+        for (int i = 0; i < 3; i++)
+            t[i] = vec2(uintBitsToFloat(texelFetch(vertices, int(tri[i]) * 2).w), uintBitsToFloat(texelFetch(vertices, int(tri[i]) * 2 + 1).w));
+        float uv_area = abs((t[1].x - t[0].x) * (t[2].y - t[0].y) - (t[2].x - t[0].x) * (t[1].y - t[0].y));
+        float slant = max(abs(dot(s.point.n_geo, ray.dir)), 0.05);
+        log2_area = log2(max(square(footprint) * uv_area / (world_area * slant), 1e-30));
+    }
+#endif
+    vec4 color = m.base_color * a.color;
+    float metallic = m.metallic, roughness = m.roughness;
+    s.emissive = m.emissive;
+    s.occlusion = 1.0;
+    float specular = m.specular;
+    vec3 specular_color = m.specular_color;
+    s.bsdf.transmission = m.transmission;
+    s.bsdf.clearcoat = m.clearcoat;
+    s.bsdf.clearcoat_roughness = m.clearcoat_roughness;
+#if USE_TEXTURES
+    // Loops, not ifs: see transmittance_at in lib/bvh.glsl.
+    for (bool look = m.base_color_texture >= 0; look; look = false)
+        color *= sample_texture(m.base_color_texture, a.uv0, a.uv1, log2_area, true);
+    for (bool look = m.metallic_roughness_texture >= 0; look; look = false) {
+        vec4 mr = sample_texture(m.metallic_roughness_texture, a.uv0, a.uv1, log2_area, false);
+        metallic *= mr.b;
+        roughness *= mr.g;
+    }
+    for (bool look = m.occlusion_texture >= 0; look; look = false)
+        s.occlusion = 1.0 + m.occlusion_strength * (sample_texture(m.occlusion_texture, a.uv0, a.uv1, log2_area, false).r - 1.0);
+    for (bool look = m.emissive_texture >= 0; look; look = false)
+        s.emissive *= sample_texture(m.emissive_texture, a.uv0, a.uv1, log2_area, true).rgb;
+    if (SPECULAR) {
+        for (bool look = m.specular_texture >= 0; look; look = false)
+            specular *= sample_texture(m.specular_texture, a.uv0, a.uv1, log2_area, false).a;
+        for (bool look = m.specular_color_texture >= 0; look; look = false)
+            specular_color *= sample_texture(m.specular_color_texture, a.uv0, a.uv1, log2_area, true).rgb;
+    }
+    if (CLEARCOAT) {
+        for (bool look = m.clearcoat_texture >= 0; look; look = false)
+            s.bsdf.clearcoat *= sample_texture(m.clearcoat_texture, a.uv0, a.uv1, log2_area, false).r;
+        for (bool look = m.clearcoat_roughness_texture >= 0; look; look = false)
+            s.bsdf.clearcoat_roughness *= sample_texture(m.clearcoat_roughness_texture, a.uv0, a.uv1, log2_area, false).g;
+    }
+    for (bool look = BLENDED && m.transmission_texture >= 0; look; look = false)
+        s.bsdf.transmission *= sample_texture(m.transmission_texture, a.uv0, a.uv1, log2_area, false).r;
+#if USE_NORMAL_MAP
+    for (bool look = !sphere && max(m.normal_texture, m.clearcoat_normal_texture) >= 0; look; look = false) {
+        vec4 tangent = vec4(0.0);
+        for (int i = 0; i < 3; i++) tangent += w[i] * uintBitsToFloat(texelFetch(tangents, int(tri[i])));
+        tangent.xyz = to_world * tangent.xyz;
+        float len = length(tangent.xyz);
+        tangent = len > 0.0 ? vec4(tangent.xyz / len, tangent.w < 0.0 ? -1.0 : 1.0) : vec4(basis(n_shade)[0], 1.0);
+        if (inst.flipped == 1u) tangent.w = -tangent.w;                    // a mirrored instance mirrors the bitangent
+        // The map was made for the front of the surface; seen from behind, the whole frame turns over (glTF 3.9.4).
+        vec3 n_front = n_shade * side;
+        if (m.normal_texture >= 0) s.bsdf.n = side * mapped_normal(m.normal_texture, m.normal_scale, a, log2_area, n_front, tangent);
+        if (m.clearcoat_normal_texture >= 0)
+            s.bsdf.n_coat = side * mapped_normal(m.clearcoat_normal_texture, m.clearcoat_normal_scale, a, log2_area, n_front, tangent);
+    }
+#endif
+#endif
+    s.bsdf.base_color = color.rgb;
+    s.alpha = m.alpha_mode == ALPHA_BLEND ? color.a : 1.0;
+    s.bsdf.metallic = metallic;
+    s.bsdf.roughness = roughness;
+    s.bsdf.alpha = max(square(roughness), 4e-4);
+    s.bsdf.f0_dielectric = SPECULAR ? min(m.dielectric_f0 * specular_color, vec3(1.0)) * specular : vec3(0.04);
+    s.bsdf.f90_dielectric = SPECULAR ? specular : 1.0;
+    s.unlit = m.unlit == 1u;
+    if (s.unlit) s.emissive = color.rgb;
+    return s;
+}

@@ -1,0 +1,111 @@
+// lib/texture.glsl -- texture lookups with our own filter.
+// All images of a scene lie in the pages of one array texture, any number, size and sampler; wrapping and trilinear
+// filtering are done here. Chosen over hardware samplers: those need one unit an image (16 to 32 in all), blend with
+// 8-bit weights, and differ by driver; these do not. Rejected too: bindless handles, which Mesa's llvmpipe lacks.
+#include "lib/geometry.glsl"
+
+#if USE_TEXTURES
+uniform sampler2DArray texture_pages;                                      // rgba8, as in the files
+layout(std430) readonly buffer Textures { Texture textures[]; };
+layout(std430) readonly buffer TextureLevels { uvec4 texture_levels[]; };  // x, y, width | height << 16, page
+
+vec3 srgb_to_linear(vec3 c) {
+    return mix(pow((c + 0.055) / 1.055, vec3(2.4)), c / 12.92, lessThanEqual(c, vec3(0.04045)));
+}
+
+int wrap(int i, int n, uint mode) {
+    if (mode == WRAP_CLAMP) return clamp(i, 0, n - 1);
+    int period = mode == WRAP_MIRROR ? 2 * n : n;
+    i -= int(floor(float(i) / float(period))) * period;
+    i = i < 0 ? i + period : (i >= period ? i - period : i);               // the float quotient may be off by one
+    return i < n ? i : 2 * n - 1 - i;
+}
+
+vec4 texel(uvec4 level, ivec2 p, uint sampling, const bool srgb) {
+    ivec2 size = ivec2(level.z & 0xFFFFu, level.z >> 16u);
+    ivec2 at = ivec2(level.xy) + ivec2(wrap(p.x, size.x, sampling & 3u), wrap(p.y, size.y, (sampling >> 2u) & 3u));
+    vec4 c = texelFetch(texture_pages, ivec3(at, int(level.w)), 0);
+    if (srgb) c.rgb = srgb_to_linear(c.rgb);
+    return c;
+}
+
+vec4 bilinear(uvec4 level, vec2 uv, uint sampling, const bool srgb) {
+    vec2 size = vec2(level.z & 0xFFFFu, level.z >> 16u);
+    bool nearest = (sampling & 16u) != 0u;
+    vec2 p = uv * size - (nearest ? 0.0 : 0.5);
+    ivec2 i = ivec2(floor(p));
+    vec2 f = nearest ? vec2(0.0) : p - floor(p);
+    vec4 top = mix(texel(level, i, sampling, srgb), texel(level, i + ivec2(1, 0), sampling, srgb), f.x);
+    vec4 bottom = mix(texel(level, i + ivec2(0, 1), sampling, srgb), texel(level, i + ivec2(1, 1), sampling, srgb), f.x);
+    return mix(top, bottom, f.y);
+}
+
+vec2 texture_uv(Texture tex, vec2 uv0, vec2 uv1) {
+    vec3 uv = vec3((tex.sampling & 32u) != 0u ? uv1 : uv0, 1.0);
+    vec2 out_uv = vec2(dot(tex.u_row, uv), dot(tex.v_row, uv));
+    return out_uv - floor(out_uv / 1024.0) * 1024.0;                       // far repeats keep their fraction's bits
+}
+
+// log2_area: log2 of the footprint's area over the area of the unit uv square; -inf for the finest level.
+vec4 sample_texture(int index, vec2 uv0, vec2 uv1, float log2_area, const bool srgb) {
+    Texture tex = textures[index];
+    vec2 uv = texture_uv(tex, uv0, uv1);
+    float lod = clamp(0.5 * (log2_area + tex.log2_texels), 0.0, float(tex.level_count - 1u));
+    uint l = uint(lod);
+    vec4 c = bilinear(texture_levels[tex.first_level + l], uv, tex.sampling, srgb);
+    float f = lod - float(l);
+    for (bool blend = f > 0.0; blend; blend = false)                       // a loop: see transmittance_at in lib/bvh.glsl
+        c = mix(c, bilinear(texture_levels[tex.first_level + l + 1u], uv, tex.sampling, srgb), f);
+    return c;
+}
+#endif
+
+// Interpolated attributes of a hit. Absent ones have the value that leaves a factor alone.
+struct Attributes { vec2 uv0, uv1; vec4 color; };
+
+Attributes attributes_at(Hit hit) {
+    Attributes a = Attributes(vec2(0.0), vec2(0.0), vec4(1.0));
+#if USE_TEXTURES || USE_EXTRA_ATTRIBUTES
+    uvec4 tri = texelFetch(triangles, int(hit.triangle));
+    vec3 w = vec3(1.0 - hit.bary.x - hit.bary.y, hit.bary);
+    for (int i = 0; i < 3; i++) {
+        int v = int(tri[i]);
+        a.uv0 += w[i] * vec2(uintBitsToFloat(texelFetch(vertices, v * 2).w), uintBitsToFloat(texelFetch(vertices, v * 2 + 1).w));
+    }
+#if USE_EXTRA_ATTRIBUTES
+    a.color = vec4(0.0);
+    for (int i = 0; i < 3; i++) {
+        uvec4 extra = texelFetch(attributes, int(tri[i]));
+        a.uv1 += w[i] * uintBitsToFloat(extra.xy);
+        a.color += w[i] * vec4(unpackHalf2x16(extra.z), unpackHalf2x16(extra.w));
+    }
+#endif
+#endif
+    return a;
+}
+
+const float FINEST_LEVEL = -1e9;
+
+// Base colour and alpha at the finest level: what alpha tests use in raster and rays alike, so that both cut the same holes.
+vec4 base_color_at(Material m, Hit hit) {
+    Attributes a = attributes_at(hit);
+    vec4 color = m.base_color * a.color;
+#if USE_TEXTURES
+    for (bool look = m.base_color_texture >= 0; look; look = false)
+        color *= sample_texture(m.base_color_texture, a.uv0, a.uv1, FINEST_LEVEL, true);
+#endif
+    return color;
+}
+
+// What a blended or transmissive surface lets through, straight on (thin).
+vec3 tint_at(Material m, vec4 color, Hit hit) {
+    float transmission = m.transmission;
+#if USE_TEXTURES
+    if (m.transmission_texture >= 0) {
+        Attributes a = attributes_at(hit);
+        transmission *= sample_texture(m.transmission_texture, a.uv0, a.uv1, FINEST_LEVEL, false).r;
+    }
+#endif
+    float alpha = m.alpha_mode == ALPHA_BLEND ? color.a : 1.0;
+    return mix(vec3(1.0), color.rgb * transmission, alpha);
+}

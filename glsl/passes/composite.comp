@@ -1,0 +1,86 @@
+// passes/composite.comp -- direct light times visibility, emission, sky and reflection, then the blended layers in
+// front: linear radiance of a pixel.
+#include "lib/gbuffer.glsl"
+#include "lib/shade.glsl"
+
+layout(local_size_x = 8, local_size_y = 8) in;
+layout(rgba32f) uniform image2D radiance;                  // coverage in a
+#if USE_VISIBILITY
+uniform sampler2DArray visibility;
+#endif
+#if USE_REFLECTIONS
+uniform sampler2D reflection;
+#endif
+
+vec3 surface_radiance(Pixel p, Surface s, ivec2 px) {
+    if (s.unlit) return s.emissive;
+    vec3 v = -p.ray.dir;
+    vec3 sum = s.emissive;
+    for (uint i = 0u; i < frame.light_count; i++) {
+        LightSample l = light_at(lights[i], s.point.position);
+        vec3 light = bsdf_eval(s.bsdf, v, l.dir) * l.irradiance;
+#if USE_VISIBILITY
+        vec4 vis = texelFetch(visibility, ivec3(px, i), 0);
+        light *= BLENDED ? vis.rgb : vis.rrr;
+#endif
+        sum += arrives(l) && faces(s, l.dir) ? light : vec3(0.0);
+    }
+    bool bent;
+    vec3 r = mirror_direction(s, v, bent);
+#if USE_REFLECTIONS
+    bool has_traced = mirror_roughness(s) < 1.0;
+    return sum + indirect_light(s, v, r, texelFetch(reflection, px, 0).rgb, has_traced);
+#else
+    return sum + indirect_light(s, v, r, vec3(0.0), false);
+#endif
+}
+
+#if USE_BLENDED
+// Blended surfaces in front, nearest first: the order of the ray, so nothing needs sorting.
+vec3 layers_over(Pixel p, vec3 behind) {
+    vec3 layers = vec3(0.0), through = vec3(1.0);
+    Ray rest = Ray(p.ray.origin, 0.0, p.ray.dir, p.hit.t);
+    for (int i = 0; i < MAX_LAYERS; i++) {
+        Hit hit = closest_blended(rest);
+        if (hit.triangle == ID_NONE) break;
+        Surface s = surface_at(hit, p.ray, footprint(hit.t));
+        vec3 v = -p.ray.dir, color = s.emissive;
+        if (!s.unlit) {
+            bool bent;
+            vec3 r = mirror_direction(s, v, bent), traced = vec3(0.0);
+            color += direct_light(s, v);
+#if USE_REFLECTIONS
+            bool look = mirror_roughness(s) < 1.0;
+            for (bool again = look; again; again = false) {
+                Ray ray = Ray(ray_origin(s.point, r), 0.0, r, INFINITY);
+                Hit seen = closest_hit(ray);
+                if (seen.triangle == ID_NONE) traced = environment_radiance(r);
+                else traced = shade_hit(surface_at(seen, ray, footprint(hit.t + seen.t)), -r);
+            }
+            color += indirect_light(s, v, r, traced, look);
+#else
+            color += indirect_light(s, v, r, vec3(0.0), false);
+#endif
+        }
+        layers += through * s.alpha * color;
+        through *= layer_transmittance(s);
+        rest.t_min = uintBitsToFloat(floatBitsToUint(hit.t) + 1u);
+    }
+    return layers + through * behind;
+}
+#endif
+
+void main() {
+    ivec2 px = ivec2(gl_GlobalInvocationID.xy);
+    if (any(greaterThanEqual(px, frame.size_px))) return;                  // groups overhang the edge
+    Pixel p = load_pixel(px);
+    vec3 color = vec3(0.0);
+    if (covered(p)) color = surface_radiance(p, load_surface(p), px);
+    else color = environment_radiance(p.ray.dir);
+#if USE_BLENDED
+    color = layers_over(p, color);
+#endif
+    vec4 result = vec4(color, covered(p) ? 1.0 : 0.0);
+    if (frame.accumulate > 0.0) result = mix(result, imageLoad(radiance, px), frame.accumulate);
+    imageStore(radiance, px, result);
+}

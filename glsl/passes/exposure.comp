@@ -1,0 +1,26 @@
+// passes/exposure.comp -- log-average luminance of the picture to middle grey (Reinhard et al. 2002, eq. 1), in EV.
+#include "lib/frame.glsl"
+#include "lib/math.glsl"
+
+layout(local_size_x = 64) in;
+uniform sampler2D radiance;
+layout(std430) buffer Exposure { float exposure_ev; };
+shared vec2 partial[64];
+
+const int SAMPLES_ACROSS = 256;    // of the picture, at most: the average needs no more
+
+void main() {
+    int i = int(gl_LocalInvocationIndex);
+    ivec2 steps = min(frame.size_px, ivec2(SAMPLES_ACROSS));
+    vec2 sum = vec2(0.0);
+    for (int n = i; n < steps.x * steps.y; n += 64) {
+        ivec2 px = ivec2((vec2(n % steps.x, n / steps.x) + 0.5) / vec2(steps) * vec2(frame.size_px));
+        float l = luminance(texelFetch(radiance, px, 0).rgb);
+        if (l > 0.0 && l < INFINITY) sum += vec2(log2(clamp(l, 1e-6, 1e6)), 1.0);   // black pixels say nothing
+    }
+    partial[i] = sum;
+    barrier();
+    if (i != 0) return;
+    for (int k = 1; k < 64; k++) sum += partial[k];
+    exposure_ev = frame.auto_exposure == 0u ? frame.exposure_ev : (sum.y > 0.0 ? log2(0.18) - sum.x / sum.y : 0.0);
+}

@@ -1,0 +1,36 @@
+// passes/gbuffer.frag -- the ids of what covers a pixel. Cut-outs and spheres look at the exact ray, as the tracer does.
+#if USE_ALPHA_TEST || USE_SPHERE_PROXY
+#include "lib/texture.glsl"
+#else
+#include "lib/frame.glsl"
+#endif
+
+flat in uint instance;
+flat in uint first_triangle;
+layout(location = 0) out uvec2 out_id;
+
+void main() {
+    uint triangle = first_triangle + uint(gl_PrimitiveID);
+#if USE_SPHERE_PROXY
+    triangle = first_triangle;
+#endif
+#if USE_ALPHA_TEST || USE_SPHERE_PROXY
+    Ray ray = primary_ray(ivec2(gl_FragCoord.xy));
+    Hit hit = hit_known(ray, instance, triangle);
+#endif
+#if USE_SPHERE_PROXY
+    Instance inst = instances[instance];
+    uvec4 tri = texelFetch(triangles, int(triangle));
+    Point p = sphere_point(tri, ray, hit.t, inst);
+    // A ray past the sphere meets the nearest point of its axis instead: not on the ray.
+    if (hit.t <= 0.0 || length(p.position - (ray.origin + hit.t * ray.dir)) > 1e-4 * hit.t + 64.0 * p.offset) discard;
+    vec4 clip = frame.clip_from_world * vec4(p.position, 1.0);
+    gl_FragDepth = CLIP_CONTROL ? clip.z / clip.w : clip.z / clip.w * 0.5 + 0.5;
+#endif
+#if USE_ALPHA_TEST
+    HitGroup group = hit_group_of(instance, hit.geometry);
+    Material m = materials[group.material];
+    if (group.any_hit == ANY_HIT_MASK && base_color_at(m, hit).a < m.alpha_cutoff) discard;
+#endif
+    out_id = uvec2(instance, triangle);
+}

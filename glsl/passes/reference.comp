@@ -1,0 +1,264 @@
+// passes/reference.comp -- the picture as it should be: an unbiased path tracer on the same trees and the same BSDF.
+// Next-event estimation with multiple importance sampling (Veach 1997, balance heuristic), no clamp, progressive.
+#include "lib/surface.glsl"
+#include "lib/light.glsl"
+#include "lib/environment.glsl"
+#include "lib/random.glsl"
+
+layout(local_size_x = 8, local_size_y = 8) in;
+layout(rgba32f) uniform image2D radiance;          // running mean of all samples so far
+
+#if USE_ENVIRONMENT_MAP
+uniform sampler2D environment_cdf;                 // r32f; row y < H: along that row; row H: over rows (in its first H texels)
+#endif
+#if USE_EMITTERS
+layout(std430) readonly buffer Emitters { Emitter emitters[]; };
+#endif
+
+float mis(float pdf, float other) { return pdf / (pdf + other); }
+
+// ---- the environment: picked by texel, in proportion to luminance times solid angle
+
+#if USE_ENVIRONMENT_MAP
+int search_cdf(int row, int count, float x) {      // first entry > x
+    int lo = 0, hi = count - 1;
+    while (lo < hi) {
+        int mid = (lo + hi) / 2;
+        if (texelFetch(environment_cdf, ivec2(mid, row), 0).r > x) hi = mid; else lo = mid + 1;
+    }
+    return lo;
+}
+
+float cdf_step(int i, int row) {
+    return texelFetch(environment_cdf, ivec2(i, row), 0).r - (i > 0 ? texelFetch(environment_cdf, ivec2(i - 1, row), 0).r : 0.0);
+}
+
+float environment_pdf(vec3 d_ws) {
+    vec3 d = environment_from_world(d_ws);
+    ivec2 size = textureSize(environment_map, 0);
+    ivec2 p = clamp(ivec2(vec2(0.5 + atan(d.x, -d.z) / (2.0 * PI), acos(clamp(d.y, -1.0, 1.0)) / PI) * vec2(size)), ivec2(0), size - 1);
+    float sin_theta = sqrt(max(1.0 - d.y * d.y, 1e-12));
+    return cdf_step(p.x, p.y) * cdf_step(p.y, size.y) * float(size.x * size.y) / (2.0 * PI * PI * sin_theta);
+}
+
+vec3 environment_sample(vec2 xi, out float pdf) {
+    ivec2 size = textureSize(environment_map, 0);
+    int y = search_cdf(size.y, size.y, xi.y);
+    int x = search_cdf(y, size.x, xi.x);
+    vec2 uv = (vec2(x, y) + random_vec2()) / vec2(size);
+    float phi = (uv.x - 0.5) * 2.0 * PI, theta = uv.y * PI;
+    vec3 d = vec3(sin(theta) * sin(phi), cos(theta), -sin(theta) * cos(phi));
+    // environment_from_world is a rotation about +Y: its inverse is its transpose.
+    d = vec3(frame.environment_x.x * d.x + frame.environment_z.x * d.z, d.y, frame.environment_x.z * d.x + frame.environment_z.z * d.z);
+    pdf = environment_pdf(d);
+    return d;
+}
+#elif USE_ENVIRONMENT
+float environment_pdf(vec3 d) { return 1.0 / (4.0 * PI); }
+vec3 environment_sample(vec2 xi, out float pdf) {
+    float z = 1.0 - 2.0 * xi.x, r = sqrt(max(0.0, 1.0 - z * z)), phi = 2.0 * PI * xi.y;
+    pdf = 1.0 / (4.0 * PI);
+    return vec3(r * cos(phi), r * sin(phi), z);
+}
+#endif
+
+// ---- BSDF sampling: coat, specular interface, diffuse
+
+struct Lobes { float coat, specular, diffuse; };   // probabilities, sum 1
+
+Lobes lobes_of(Bsdf b, vec3 v) {
+    float NoV = max(dot(b.n, v), 0.0);
+    float f = luminance(specular_fresnel(b, NoV));
+    float d = luminance(b.base_color) * (1.0 - b.metallic) * (1.0 - b.transmission);
+    float coat = CLEARCOAT ? coat_fresnel(b, max(dot(b.n_coat, v), 0.0)) : 0.0;
+    float specular = b.metallic >= 1.0 || d <= 0.0 ? 1.0 : clamp(f / max(f + d, 1e-6), 0.1, 0.9);
+    coat = coat > 0.0 ? clamp(coat, 0.1, 0.9) : 0.0;
+    return Lobes(coat, (1.0 - coat) * specular, (1.0 - coat) * (1.0 - specular));
+}
+
+// Density of the directions that bsdf_sample draws from its rough lobes.
+float bsdf_pdf(Bsdf b, Lobes p, vec3 v, vec3 l) {
+    vec3 h = normalize(v + l);
+    float pdf = p.diffuse * max(dot(b.n, l), 0.0) / PI;
+    if (!is_mirror(b)) pdf += p.specular * ggx_pdf(b.n, v, h, b.alpha);
+    if (CLEARCOAT && p.coat > 0.0 && b.clearcoat_roughness >= MIRROR_ROUGHNESS)
+        pdf += p.coat * ggx_pdf(b.n_coat, v, h, max(square(b.clearcoat_roughness), 4e-4));
+    return pdf;
+}
+
+// Draws l; weight = BSDF * NoL / pdf. pdf 0: a mirror was followed.
+vec3 bsdf_sample(Bsdf b, vec3 v, out vec3 weight, out float pdf) {
+    Lobes p = lobes_of(b, v);
+    float choice = random_float();
+    vec2 xi = random_vec2();
+    vec3 l;
+    pdf = 0.0;
+    weight = vec3(0.0);
+    float under_coat = CLEARCOAT ? 1.0 - coat_fresnel(b, max(dot(b.n_coat, v), 0.0)) : 1.0;
+    if (choice < p.coat) {
+        if (b.clearcoat_roughness < MIRROR_ROUGHNESS) {
+            weight = vec3(coat_fresnel(b, max(dot(b.n_coat, v), 0.0)) / p.coat);
+            return reflect(-v, b.n_coat);
+        }
+        l = reflect(-v, ggx_sample_vndf(b.n_coat, v, max(square(b.clearcoat_roughness), 4e-4), xi));
+    } else if (choice < p.coat + p.specular) {
+        if (is_mirror(b)) {
+            weight = specular_fresnel(b, max(dot(b.n, v), 0.0)) * under_coat / p.specular;
+            return reflect(-v, b.n);
+        }
+        l = reflect(-v, ggx_sample_vndf(b.n, v, b.alpha, xi));
+    } else {
+        float r = sqrt(xi.x), phi = 2.0 * PI * xi.y;
+        l = basis(b.n) * vec3(r * cos(phi), r * sin(phi), sqrt(max(0.0, 1.0 - xi.x)));
+    }
+    pdf = bsdf_pdf(b, p, v, l);
+    if (pdf > 0.0) weight = bsdf_eval(b, v, l) / pdf;
+    return l;
+}
+
+bool above(Surface s, vec3 l) { return dot(s.point.n_geo, l) > 0.0; }
+
+// ---- one vertex: light that comes straight from lamps, sky and shining triangles
+
+vec3 lamps(Surface s, vec3 v) {
+    vec3 sum = vec3(0.0);
+    for (bool any_lamp = frame.light_count > 0u; any_lamp; any_lamp = false) {
+        uint i = min(uint(random_float() * float(frame.light_count)), frame.light_count - 1u);
+        LightSample l = light_at(lights[i], s.point.position);
+        for (bool lit = arrives(l) && above(s, l.dir); lit; lit = false)
+            sum = bsdf_eval(s.bsdf, v, l.dir) * l.irradiance * float(frame.light_count)
+                * any_hit(Ray(ray_origin(s.point, l.dir), 0.0, l.dir, l.distance));
+    }
+    return sum;
+}
+
+vec3 sky(Surface s, vec3 v) {
+    vec3 sum = vec3(0.0);
+#if USE_ENVIRONMENT
+    float pdf;
+    vec3 l = environment_sample(random_vec2(), pdf);
+    for (bool lit = pdf > 0.0 && above(s, l); lit; lit = false) {
+        vec3 f = bsdf_eval(s.bsdf, v, l);
+        float other = bsdf_pdf(s.bsdf, lobes_of(s.bsdf, v), v, l);
+        sum = f * environment_radiance(l) * mis(pdf, other) / pdf * any_hit(Ray(ray_origin(s.point, l), 0.0, l, INFINITY));
+    }
+#endif
+    return sum;
+}
+
+#if USE_EMITTERS
+// Density over solid angle of picking the point of a shining triangle that a ray met; 0 for shapes that are not in the table.
+float emitter_pdf(Hit hit, Ray ray, Surface s) {
+    HitGroup group = hit_group_of(hit.instance, hit.geometry);
+    if (group.kind != KIND_TRIANGLE) return 0.0;
+    float cos_theta = abs(dot(s.point.n_geo, ray.dir));
+    return luminance(materials[group.material].emissive) / frame.emissive_weight * square(hit.t) / max(cos_theta, 1e-9);
+}
+
+vec3 shining(Surface s, vec3 v) {
+    float x = random_float();
+    int lo = 0, hi = emitters.length() - 1;
+    while (lo < hi) { int mid = (lo + hi) / 2; if (emitters[mid].cdf > x) hi = mid; else lo = mid + 1; }
+    Emitter e = emitters[lo];
+    vec2 xi = random_vec2();
+    float r = sqrt(xi.x);
+    Hit hit = Hit(0.0, vec2(r * (1.0 - xi.y), r * xi.y), e.instance, e.triangle, texelFetch(triangles, int(e.triangle)).w);
+    Point to = triangle_point(texelFetch(triangles, int(e.triangle)), hit.bary, instances[e.instance]);
+    vec3 d = to.position - s.point.position;
+    hit.t = length(d);
+    Ray ray = Ray(s.point.position, 0.0, d / hit.t, INFINITY);
+    bool back = dot(to.n_geo, ray.dir) > 0.0;
+    HitGroup group = hit_group_of(hit.instance, hit.geometry);
+    vec3 sum = vec3(0.0);
+    for (bool lit = above(s, ray.dir) && hit.t > 0.0 && !(back && group.single_sided == 1u); lit; lit = false) {
+        Surface there = surface_at(hit, ray, 0.0);
+        float pdf = emitter_pdf(hit, ray, there);
+        vec3 from = ray_origin(s.point, ray.dir), target = ray_origin(to, -ray.dir);
+        vec3 f = bsdf_eval(s.bsdf, v, ray.dir);
+        float other = bsdf_pdf(s.bsdf, lobes_of(s.bsdf, v), v, ray.dir);
+        sum = f * there.emissive * mis(pdf, other) / pdf * any_hit(Ray(from, 0.0, target - from, 1.0));
+    }
+    return sum;
+}
+#endif
+
+// ---- blended surfaces on the way: passed, or met, in proportion to alpha
+
+Hit next_hit(Ray ray, inout vec3 throughput, out bool passed_through) {
+    Hit hit = closest_hit(ray);
+    passed_through = false;
+#if USE_BLENDED
+    Ray rest = Ray(ray.origin, ray.t_min, ray.dir, hit.t);
+    for (int i = 0; i < 32; i++) {
+        Hit layer = closest_blended(rest);
+        if (layer.triangle == ID_NONE) break;
+        Surface s = surface_at(layer, ray, 0.0);
+        rest.t_min = uintBitsToFloat(floatBitsToUint(layer.t) + 1u);
+        if (random_float() >= s.alpha) continue;
+        float through = min(s.bsdf.transmission * max3(s.bsdf.base_color), 0.95);
+        if (random_float() < through) { throughput *= s.bsdf.transmission * s.bsdf.base_color / through; continue; }
+        throughput /= 1.0 - through;
+        hit = layer;
+        break;
+    }
+#endif
+    return hit;
+}
+
+vec3 path(Ray ray) {
+    vec3 sum = vec3(0.0), throughput = vec3(1.0);
+    float pdf = 0.0;                               // of the direction followed; 0: camera or mirror
+    Surface from;
+    for (uint depth = 0u; depth <= frame.bounces + 1u; depth++) {
+        bool passed;
+        Hit hit = next_hit(ray, throughput, passed);
+        if (hit.triangle == ID_NONE) {
+#if USE_ENVIRONMENT
+            float w = pdf > 0.0 ? mis(pdf, environment_pdf(ray.dir)) : 1.0;
+            sum += throughput * environment_radiance(ray.dir) * w;
+#endif
+            break;
+        }
+        float footprint = frame.orthographic == 1u ? frame.pixel_angle : frame.pixel_angle * hit.t;
+        Surface s = surface_at(hit, ray, depth == 0u ? footprint : 0.0);
+        float w = 1.0;
+#if USE_EMITTERS
+        // An unlit surface shines in its base colour and is not in the table of emitters.
+        if (pdf > 0.0 && !s.unlit && max3(s.emissive) > 0.0) w = mis(pdf, emitter_pdf(hit, ray, s));
+#endif
+        sum += throughput * s.emissive * w;
+        if (s.unlit || depth > frame.bounces) break;
+        vec3 v = -ray.dir;
+        sum += throughput * (lamps(s, v) + sky(s, v));
+#if USE_EMITTERS
+        sum += throughput * shining(s, v);
+#endif
+        vec3 weight;
+        vec3 l = bsdf_sample(s.bsdf, v, weight, pdf);
+        throughput *= weight;
+        if (!above(s, l) || max3(throughput) <= 0.0) break;
+        if (depth >= 4u) {                         // Russian roulette
+            float survive = min(max3(throughput), 0.95);
+            if (random_float() >= survive) break;
+            throughput /= survive;
+        }
+        ray = Ray(ray_origin(s.point, l), 0.0, l, INFINITY);
+    }
+    return sum;
+}
+
+void main() {
+    ivec2 px = ivec2(gl_GlobalInvocationID.xy);
+    if (any(greaterThanEqual(px, frame.size_px))) return;                  // groups overhang the edge
+    vec3 sum = vec3(0.0);
+    for (uint i = 0u; i < frame.sample_count; i++) {
+        random_seed(uvec2(px), frame.sample_first + i, frame.seed);
+        // jitter_px is the width of the box that samples spread over: 0 = pixel centres.
+        vec2 offset = (random_vec2() - 0.5) * frame.jitter_px;
+        sum += path(primary_ray(px, offset));
+    }
+    vec4 mean = vec4(sum / float(frame.sample_count), 1.0);
+    float before = float(frame.sample_first), now = float(frame.sample_count);
+    if (before > 0.0) mean = mix(mean, imageLoad(radiance, px), before / (before + now));
+    imageStore(radiance, px, mean);
+}
