@@ -108,7 +108,8 @@ def _cell(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, (list, tuple)):
-        return escape(", ".join(str(v) for v in value))
+        words = [str(v) for v in value]
+        return escape(("\n" if any(" " in word for word in words) else ", ").join(words))
     return escape("" if value is None else str(value))
 
 

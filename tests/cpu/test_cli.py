@@ -1,0 +1,255 @@
+"""The command line: what it refuses and how, what it hands to the renderer, what it prints and where."""
+
+import json
+import subprocess
+import sys
+import types
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import glhybrid
+from glhybrid import cli, console
+from glhybrid.errors import DeviceError, LoadError
+from glhybrid.image import AOVS, Frame
+from glhybrid.scene import Scene
+from glhybrid.settings import Settings
+
+
+class _Recorder:
+    """Stands in for the loader and the renderer, and keeps what they were called with."""
+
+    def __init__(self) -> None:
+        self.loads: list[tuple[str, dict[str, Any]]] = []
+        self.devices: list[str] = []
+        self.renders: list[dict[str, Any]] = []
+        self.closed = 0
+        self.raises: BaseException | None = None
+        self.scene = Scene("fake")
+
+    def load(self, path: str, **options: Any) -> Scene:
+        self.loads.append((path, options))
+        return self.scene
+
+    def renderer(self, device: str) -> "_Recorder":
+        self.devices.append(device)
+        return self
+
+    def __enter__(self) -> "_Recorder":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.closed += 1
+
+    def render(self, scene: Scene, **options: Any) -> Frame:
+        assert scene is self.scene
+        if self.raises is not None:
+            raise self.raises
+        self.renders.append(options)
+        options["progress"]("frames", 1, 4)
+        width, height = options["size"]
+        names = ("radiance", *options["aovs"])
+        arrays = {n: np.zeros(AOVS[n].shape(height, width, 1), AOVS[n].dtype) for n in names}
+        receipt = {
+            "scene": {"triangles": 1234567},
+            "device": {"renderer": "llvmpipe", "software": True},
+            "frame_ms": 12.34,
+            "settings": options["settings"].to_dict(),
+            "numbers": {"numpy": np.float32(0.5), "path": Path("x")},
+        }
+        return Frame(np.zeros((height, width, 3), np.uint8), arrays, receipt)
+
+
+@pytest.fixture
+def fake(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> _Recorder:
+    recorder = _Recorder()
+    module = types.ModuleType("glhybrid.renderer")
+    module.Renderer = recorder.renderer  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "glhybrid.renderer", module)
+    monkeypatch.setattr(glhybrid, "load", recorder.load, raising=False)
+    monkeypatch.chdir(tmp_path)
+    return recorder
+
+
+def _run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    code = cli.main(arguments)
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def test_render_with_defaults(fake: _Recorder, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    code, out, _ = _run(capsys, "render", "some/place/hall.glb")
+    assert code == 0
+    assert fake.loads == [("some/place/hall.glb", {"strict": False, "allow_outside": False})]
+    assert fake.devices == ["auto"] and fake.closed == 1
+    (call,) = fake.renders
+    assert call["size"] == (1280, 720) and call["camera"] is None and call["aovs"] == ()
+    assert call["settings"] == Settings(aa=4)
+    assert (tmp_path / "hall.png").is_file()
+    assert out == "hall.png: 1280x720, 1,234,567 triangles, 12.3 ms a frame on llvmpipe (software)\n"
+
+
+def test_every_flag_arrives(fake: _Recorder, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "look.toml").write_text('tone = "aces"\nsamples = 2\nseed = 1\nbounces = 1\n')
+    code, out, err = _run(
+        capsys, "render", "hall.glb", "-o", "a.exr", "--device", "egl:1", "--size", "64x36", "--camera", "2",
+        "--shadows", "none", "--reflections", "env", "--samples", "3", "--bounces", "0", "--set", "seed=9",
+        "--set", "exposure=-1", "--config", "look.toml", "--aov", "depth,normal", "--exr-float", "--strict",
+        "--allow-outside", "--quiet",
+    )  # fmt: skip
+    assert (code, out, err) == (0, "", "")
+    assert fake.loads[0][1] == {"strict": True, "allow_outside": True} and fake.devices == ["egl:1"]
+    (call,) = fake.renders
+    want = Settings(
+        shadows="none", reflections="env", samples=3, bounces=0, seed=9, exposure=-1.0, tone="aces", aa=1
+    )  # fmt: skip
+    assert call["settings"] == want  # --set over flags over --config; data is not antialiased
+    assert (call["size"], call["camera"]) == ((64, 36), 2)
+    assert set(call["aovs"]) == {"radiance", "depth", "normal"}
+    OpenEXR = pytest.importorskip("OpenEXR")
+    with OpenEXR.File("a.exr", separate_channels=True) as file:
+        channels = {name: channel.pixels.dtype for name, channel in file.channels().items()}
+    assert channels == dict.fromkeys(
+        ["R", "G", "B", "depth.Z", "normal.X", "normal.Y", "normal.Z"], np.dtype(np.float32)
+    )  # fmt: skip
+
+
+def test_json_prints_the_receipt_and_nothing_else(fake: _Recorder, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = _run(capsys, "render", "hall.glb", "-o", "a.png", "--size", "8x8", "--json", "--camera", "main")
+    receipt = json.loads(out)
+    assert code == 0 and receipt["output"] == "a.png" and receipt["settings"]["aa"] == 4
+    assert receipt["numbers"] == {"numpy": 0.5, "path": "x"}
+    assert fake.renders[0]["camera"] == "main"
+
+
+def test_a_picture_on_standard_output(fake: _Recorder, capfdbinary: pytest.CaptureFixture[bytes]) -> None:
+    assert cli.main(["render", "hall.glb", "-o", "-", "--size", "8x8"]) == 0
+    out, err = capfdbinary.readouterr()
+    assert out.startswith(b"\x89PNG") and b"8x8" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["rendr", "x"], 'Did you mean "render"'),
+        (["render"], "SCENE"),
+        (["render", "x", "--sise", "3x3"], "--size"),
+        (["render", "x", "--size", "3"], "1280x720"),
+        (["render", "x", "--size", "0x9"], "from 1 to"),
+        (["render", "x", "--size", "99999x9"], "from 1 to"),
+        (["render", "x", "--samples", "many"], "many"),
+        (["render", "x", "--samples", "0"], "samples = 0"),
+        (["render", "x", "--shadows", "rai"], 'did you mean "ray"'),
+        (["render", "x", "--reflections", "ssr"], "not in this version"),
+        (["render", "x", "--set", "sampels=3"], 'did you mean "samples"'),
+        (["render", "x", "--set", "seed"], "key=value"),
+        (["render", "x", "--config", "absent.toml"], "absent.toml"),
+        (["render", "x", "--aov", "dpeth", "-o", "a.exr"], 'did you mean "depth"'),
+        (["render", "x", "--aov", "depth"], "PNG holds no AOVs"),
+        (["render", "x", "-o", "a.jpg"], ".png, .exr, .npz"),
+        (["render", "x", "-o", "no/where/a.png"], "mkdir -p no/where"),
+        (["render", "x", "-o", "-", "--json"], "standard output"),
+        (["render", "x", "y"], "y"),
+    ],
+)
+def test_usage_errors_are_one_line_and_nothing_runs(
+    fake: _Recorder, capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: Sequence[str], says: str
+) -> None:
+    code, out, err = _run(capsys, *arguments)
+    assert code == 2 and out == ""
+    assert err.startswith("glhybrid: error: ") and err.count("\n") == 1 and says in err
+    assert not fake.loads and not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [(LoadError("x.glb: broken\nhere"), 2), (DeviceError("no OpenGL"), 3), (KeyboardInterrupt(), 130)],
+)
+def test_failures_are_one_line_with_their_own_code_and_close_the_renderer(
+    fake: _Recorder, capsys: pytest.CaptureFixture[str], tmp_path: Path, error: BaseException, code: int
+) -> None:
+    fake.raises = error
+    got, out, err = _run(capsys, "render", "x.glb", "--quiet")
+    assert (got, out) == (code, "") and err.startswith("glhybrid: error: ") and err.count("\n") == 1
+    assert fake.closed == 1 and not list(tmp_path.iterdir())
+
+
+def test_our_own_mistakes_are_not_hidden(fake: _Recorder) -> None:
+    fake.raises = ZeroDivisionError()
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["render", "x.glb"])
+
+
+def test_load_warnings_are_told_and_counted(fake: _Recorder, capsys: pytest.CaptureFixture[str]) -> None:
+    fake.scene = replace(fake.scene, warnings=tuple(f"mesh {i} lost its lines" for i in range(7)))
+    _, _, err = _run(capsys, "render", "x.glb", "--size", "4x4")
+    assert "warning: mesh 0 lost its lines" in err and "mesh 5" not in err and "and 2 more" in err
+    _, _, err = _run(capsys, "render", "x.glb", "--size", "4x4", "--quiet")
+    assert err == ""
+
+
+def test_scenes_and_version(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = _run(capsys, "scenes", "--json")
+    assert code == 0
+    listed = json.loads(out)
+    code, out, _ = _run(capsys, "scenes")
+    assert code == 0 and [line.split()[0] for line in out.splitlines()] == [s["name"] for s in listed]
+    code, out, _ = _run(capsys, "--version")
+    assert code == 0 and out.strip() == glhybrid.__version__
+
+
+def test_progress_waits_a_second_then_draws_and_cleans_up(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
+    with console.progress(True) as show:
+        show("frames", 1, 4)
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(console, "PATIENCE_S", 0.0)
+    with console.progress(True) as show:
+        show("frames", 1, 4)
+        show("frames", 4, 4)
+    with console.progress(False) as show:
+        show("frames", 4, 4)
+    assert capsys.readouterr().out == ""
+
+
+def test_help_imports_nothing_heavy_and_import_is_light() -> None:
+    code = (
+        "import sys; import glhybrid; before = set(sys.modules)\n"
+        "from glhybrid import cli\ncode = cli.main(['render', '--help'])\n"
+        "heavy = {'numpy', 'moderngl', 'numba', 'trimesh', 'PIL', 'OpenEXR', 'xatlas'}\n"
+        "assert not heavy & before, heavy & before\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)\nsys.exit(code)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for flag in (
+        "--device", "--size", "--camera", "--shadows", "--reflections", "--samples", "--bounces", "--set", "--config",
+        "--json", "--quiet", "--aa", "--exr-float", "--aov", "--strict", "--allow-outside", "--output", "-o",
+    ):  # fmt: skip
+        assert flag in done.stdout, flag
+    assert "--no-" not in done.stdout
+
+
+def test_load_is_a_function_and_a_package() -> None:
+    code = (
+        "import glhybrid.load.builtin\nimport glhybrid\n"
+        "assert callable(glhybrid.load)\nfrom glhybrid import load\nassert callable(load)\n"
+        "assert glhybrid.load.builtin.scenes\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_python_m(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "glhybrid", "render", "x", "-o", "a.bmp"], capture_output=True, text=True, cwd=tmp_path,
+        check=False,
+    )  # fmt: skip
+    assert done.returncode == 2 and "Traceback" not in done.stderr and "a.bmp" in done.stderr
