@@ -234,7 +234,7 @@ def _windows(wide: float, high: float, bays: int, floors: int, frame: float, dep
     if 2 * frame >= min(wide / bays, high / floors):
         raise ShapeError("frame", frame, f"must be less than half a window ({min(wide / bays, high / floors) / 2:g})")
     left, top = np.meshgrid(np.arange(bays) / bays * wide - wide / 2, high / 2 - np.arange(floors) / floors * high)
-    right = np.roll(np.append(left[0], wide / 2), -1)[None, :-1].repeat(floors, 0)
+    right = np.append(left[0], wide / 2)[None, 1:].repeat(floors, 0)
     bottom = np.append(top[:, 0], -high / 2)[1:, None].repeat(bays, 1)
     lo, hi, t, b = left + frame, right - frame, top - frame, bottom + frame
     front, back = np.zeros_like(lo), np.full_like(lo, -depth)

@@ -11,6 +11,8 @@ environment intensity of 1000 gives cd/m^2 beside lamps in candela.
 Azimuth is a compass bearing: 0 along -Z, the centre column of the map, 90 along +X. Elevation is above the horizon.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -242,3 +244,38 @@ def _multiple_scattering(table: _SunTable, haze_scattering: F64) -> F64:
         by_mu = np.stack([np.interp(table.mus, mus, row) for row in coarse[..., c]])
         full[..., c] = np.stack([np.interp(np.sqrt(table.heights), np.sqrt(heights), col) for col in by_mu.T]).T
     return full
+
+
+@dataclass(frozen=True)
+class SoftBox:
+    """A rectangle of light at infinity. size: full angles; soft: share of the half size over which its edge fades."""
+
+    azimuth: float
+    elevation: float
+    size: tuple[float, float]
+    radiance: tuple[float, float, float]
+    soft: float = 0.2
+
+
+def studio_map(
+    boxes: Sequence[SoftBox], floor: tuple[float, float, float], ceiling: tuple[float, float, float], width: int = 512
+) -> F32:
+    """(width / 2, width, 3) float32 equirect radiance: soft boxes before a background from floor to ceiling colour."""
+    height = width // 2
+    up = np.cos((np.arange(height) + 0.5) / height * np.pi)[:, None]
+    turn = (np.arange(width) + 0.5) / width * 2 * np.pi - np.pi
+    flat = np.sqrt(1 - up**2)
+    way = np.stack(np.broadcast_arrays(flat * np.sin(turn), up, -flat * np.cos(turn)), axis=-1)
+    blend = (0.5 + 0.5 * up)[..., None]
+    picture = np.broadcast_to((1 - blend) * floor + blend * ceiling, way.shape).copy()
+    for box in boxes:
+        ahead = sun_direction(box.elevation, box.azimuth)
+        right = np.array([np.cos(box.azimuth), 0.0, np.sin(box.azimuth)])
+        depth = way @ ahead
+        cover = np.where(depth > 0, 1.0, 0.0)
+        for axis, angle in ((right, box.size[0]), (np.cross(ahead, right), box.size[1])):
+            across = np.abs(way @ axis) / np.maximum(depth, 1e-9) / np.tan(angle / 2)
+            edge = np.clip((1 - across) / max(box.soft, 1e-6), 0, 1)
+            cover *= edge * edge * (3 - 2 * edge)
+        picture += cover[..., None] * (np.asarray(box.radiance) - picture)
+    return picture.astype(np.float32)

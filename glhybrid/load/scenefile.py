@@ -1,0 +1,409 @@
+"""Scene TOML to `Scene`: model files and shapes composed with lights, cameras, materials and an environment.
+
+The keys and their defaults are listed in scenes/README.md. Objects with equal shapes or the same file share one mesh
+and become instances of it; a `material` replaces an instance's materials, never the mesh's, so the sharing holds.
+"""
+
+import hashlib
+import itertools
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from glhybrid.errors import LoadError, unknown
+from glhybrid.load import patterns, sceneparts, shapes, sky
+from glhybrid.load.require import ShapeError
+from glhybrid.load.tables import NOT_NEGATIVE, NOT_ZERO, UNIT, Table, between, parse
+from glhybrid.scene import (
+    F32,
+    F64,
+    SRGB_SLOTS,
+    TEXTURE_SLOTS,
+    Animation,
+    Camera,
+    Channel,
+    Environment,
+    Image,
+    Instance,
+    Light,
+    Material,
+    Mesh,
+    Node,
+    Scene,
+    Skin,
+    Sphere,
+    Texture,
+    Triangles,
+)
+
+MAX_INSTANCES = 1_000_000  # a typing error should not fill the memory
+
+
+def load_scene_file(path: Path, *, strict: bool = False, allow_outside: bool = False) -> Scene:
+    """The scene of a TOML file, as it says: without default camera or light.
+
+    Scene.sha256 is over the TOML and every file it names. Raises LoadError naming file, table and key.
+    """
+    try:
+        text = path.read_bytes()
+    except OSError as error:
+        raise LoadError(f"{path}: cannot be read: {error.strerror or error}") from error
+    return _Builder(path, text, strict, allow_outside).build()
+
+
+class _Builder:
+    """Reads the tables in order of dependence and collects the parts of the scene."""
+
+    def __init__(self, path: Path, text: bytes, strict: bool, allow_outside: bool) -> None:
+        self.path, self.strict, self.allow_outside = path, strict, allow_outside
+        self.root = parse(text, path)
+        self.digest = hashlib.sha256(text)
+        self.folder = path.parent.resolve()
+        self.meshes: list[Mesh] = []
+        self.instances: list[Instance] = []
+        self.materials: list[Material] = []
+        self.material_index: dict[str, int] = {}
+        self.lights: list[Light] = []
+        self.cameras: list[Camera] = []
+        self.nodes: list[Node] = []
+        self.skins: list[Skin] = []
+        self.clips: dict[tuple[Path, int], tuple[str, list[Channel]]] = {}
+        self.warnings: dict[str, None] = {}
+        self.images: dict[object, Image] = {}
+        self.shape_meshes: dict[str, int] = {}
+        self.models: dict[tuple[Path, bool], tuple[Scene, int, int]] = {}
+
+    def build(self) -> Scene:
+        root = self.root
+        root.string("description", "")
+        cameras, environment = root.named_tables("camera"), root.table("environment")
+        lights, materials, objects = root.tables("light"), root.tables("material"), root.tables("object")
+        study = root.table("study")
+        root.finish()
+        self.cameras += [sceneparts.camera(name, table) for name, table in cameras]
+        sky_box = self._environment(environment) if environment else None
+        self.lights += [sceneparts.light(table) for table in lights]
+        for table in materials:
+            self._material(table)
+        for table in objects:
+            self._object(table)
+        return Scene(
+            name=self.path.stem,
+            meshes=tuple(self.meshes),
+            instances=tuple(self.instances),
+            materials=tuple(self.materials) or (Material(),),
+            lights=tuple(self.lights),
+            cameras=tuple(self.cameras),
+            environment=sky_box,
+            nodes=tuple(self.nodes),
+            skins=tuple(self.skins),
+            animations=tuple(Animation(name, tuple(channels)) for name, channels in self.clips.values()),
+            path=self.path,
+            sha256=self.digest.hexdigest(),
+            warnings=tuple(self.warnings),
+            study=dict(study.values) if study else {},
+        )
+
+    def _file(self, table: Table, key: str) -> Path:
+        """The existing file that a key names, relative to the scene file."""
+        name = table.string(key, "")
+        path = (self.folder / name).resolve()
+        if not self.allow_outside and not path.is_relative_to(self.folder):
+            table.fail("lies outside the scene file's folder; move it there or use --allow-outside", key)
+        if not path.is_file():
+            table.fail(f"there is no file {path}" if not path.exists() else "is not a file", key)
+        return path
+
+    # Environment ---------------------------------------------------------------------------------------------------
+
+    def _environment(self, table: Table) -> Environment:
+        kinds = [kind for kind in ("file", "constant", "sky", "studio") if kind in table]
+        intensity = table.number("intensity", 1.0, NOT_NEGATIVE)
+        rotation = np.radians(table.number("rotation_deg", 0.0))
+        if len(kinds) != 1:
+            given = " and ".join(kinds) or "none of them"
+            table.fail(f"needs exactly one of file, constant, sky and studio; has {given}")
+        if kinds == ["file"]:
+            from glhybrid.load.environment import read_environment
+
+            path = self._file(table, "file")
+            radiance, warnings = read_environment(path)
+            self.warnings.update(dict.fromkeys(warnings))
+            self.digest.update(hashlib.sha256(path.read_bytes()).digest())
+            name = path.name
+        elif kinds == ["constant"]:
+            radiance = np.array(table.vector("constant", (0, 0, 0), NOT_NEGATIVE), np.float32).reshape(1, 1, 3)
+            name = "constant"
+        elif kinds == ["sky"]:
+            radiance, name = self._sky(table, intensity, rotation), "sky"
+        else:
+            radiance, name = sceneparts.studio(table), "studio"
+        table.finish()
+        return Environment(radiance, intensity, float(rotation), name)
+
+    def _sky(self, parent: Table, intensity: float, rotation: float) -> F32:
+        table = parent.table("sky")
+        assert table is not None
+        elevation = np.radians(table.number("sun_elevation_deg", 40.0, between(-5, 90)))
+        azimuth = np.radians(table.number("sun_azimuth_deg", 0.0))
+        turbidity = table.number("turbidity", 3.0, between(1, 10))
+        ground = table.vector("ground", sky.GROUND, UNIT)
+        if table.boolean("sun", False):
+            light = sky.sun_light(elevation, azimuth - rotation, turbidity)
+            self.lights.append(replace(light, intensity=light.intensity * intensity))
+        table.finish()
+        return sky.sky_map(elevation, azimuth, turbidity, (ground[0], ground[1], ground[2]))
+
+    # Materials -----------------------------------------------------------------------------------------------------
+
+    def _material(self, table: Table) -> None:
+        name = table.string("name", "")
+        if not name:
+            table.fail("a material needs a name, for objects to use it by")
+        if name in self.material_index:
+            table.fail("another material has this name already", "name")
+        base = table.raw("base_color")
+        if isinstance(base, list) and len(base) == 3:  # opaque colours are commonly written without their alpha
+            table.values["base_color"] = [*base, 1.0]
+        plain = Material()
+        strength = table.number("emissive_strength", 1.0, NOT_NEGATIVE)
+        made = Material(
+            name=name,
+            base_color=sceneparts.four(table.vector("base_color", plain.base_color, UNIT)),
+            emissive=sceneparts.three(
+                tuple(strength * x for x in table.vector("emissive", plain.emissive, NOT_NEGATIVE))
+            ),
+            alpha_mode=table.string("alpha_mode", plain.alpha_mode, ("OPAQUE", "MASK", "BLEND")),  # type: ignore[arg-type]
+            double_sided=table.boolean("double_sided", plain.double_sided),
+            unlit=table.boolean("unlit", plain.unlit),
+            ior=table.number("ior", plain.ior, (lambda x: x == 0 or x >= 1, "must be at least 1, or 0")),
+            specular_color=sceneparts.three(table.vector("specular_color", plain.specular_color, NOT_NEGATIVE)),
+            normal_scale=table.number("normal_scale", plain.normal_scale),
+            clearcoat_normal_scale=table.number("clearcoat_normal_scale", plain.clearcoat_normal_scale),
+            **{key: table.number(key, getattr(plain, key), UNIT) for key in _UNIT_KEYS},
+            textures=self._textures(table),
+        )
+        table.finish()
+        self.material_index[name] = len(self.materials)
+        self.materials.append(made)
+
+    def _textures(self, parent: Table) -> dict[str, Texture]:
+        slots = parent.table("textures")
+        if slots is None:
+            return {}
+        made = {slot: self._texture(slots, slot) for slot in TEXTURE_SLOTS if slot in slots}
+        slots.finish()
+        return made
+
+    def _texture(self, slots: Table, slot: str) -> Texture:
+        """A file name, or a table with `file` or `pattern` and how it lies on the surface."""
+        if isinstance(slots.raw(slot), str):
+            return Texture(self._image(slots, slot))
+        table = slots.table(slot)
+        assert table is not None
+        if ("file" in table) == ("pattern" in table):
+            table.fail("needs either file or pattern")
+        repeat = table.vector("repeat", (1.0, 1.0), NOT_ZERO)
+        offset = table.vector("offset", (0.0, 0.0))
+        turn = np.radians(table.number("rotate_deg", 0.0))
+        uv_set = table.integer("uv_set", 0, 0, 1)
+        wrap: Any = table.string("wrap", "repeat", ("repeat", "clamp", "mirror"))
+        nearest = table.boolean("nearest", False)
+        if "file" in table:
+            image = self._image(table, "file")
+        else:
+            image = self._pattern(table, slot)
+        table.finish()
+        c, s = np.cos(turn), np.sin(turn)  # KHR_texture_transform: offset, then rotation, then scale
+        transform = np.array([[c * repeat[0], s * repeat[1], offset[0]], [-s * repeat[0], c * repeat[1], offset[1]]])
+        plain = np.array_equal(transform, np.eye(3)[:2])
+        return Texture(image, uv_set, None if plain else transform, wrap, wrap, nearest)
+
+    def _image(self, table: Table, key: str) -> Image:
+        from glhybrid.load.images import load_image
+
+        path = self._file(table, key)
+        if path not in self.images:
+            self.images[path] = load_image(path, str(path), lambda m: self._warn(f"{path.name}: {m}"))
+            self.digest.update(hashlib.sha256(path.read_bytes()).digest())
+        return self.images[path]
+
+    def _pattern(self, table: Table, slot: str) -> Image:
+        name = table.string("pattern", "")
+        if name not in patterns.PATTERNS:
+            table.fail(unknown("pattern", name, patterns.PATTERNS))
+        given = sceneparts.parameters(table, patterns.parameters(name))
+        way = "normal" if slot.endswith("normal") else "color" if slot in SRGB_SLOTS else "data"
+        key = f"{name} {sorted(given.items())} {way}"
+        if key not in self.images:
+            try:
+                self.images[key] = patterns.pattern(name, slot, **given)
+            except ShapeError as error:
+                table.fail(str(error))
+        return self.images[key]
+
+    # Objects -------------------------------------------------------------------------------------------------------
+
+    def _object(self, table: Table) -> None:
+        name = table.string("name", "")
+        material = self._material_of(table)
+        world = sceneparts.transform(table)
+        places = self._places(table)
+        if ("file" in table) == ("shape" in table):
+            table.fail("needs either file or shape")
+        if "shape" in table:
+            kind, mesh = self._shape(table)
+            table.finish()
+            materials = (self._default_material() if material is None else material,)
+            self._ready(mesh, materials, table)
+            for place in places:
+                self.instances.append(Instance(mesh, _shifted(world, place), name or kind, materials))
+            return
+        smooth = table.boolean("smooth", False)
+        path = self._file(table, "file")
+        table.finish()
+        model, first_mesh, first_material = self._model(path, smooth, table)
+        for place in places:
+            self._place(path, model, first_mesh, first_material, _shifted(world, place), name, material, table)
+
+    def _material_of(self, table: Table) -> int | None:
+        name = table.string("material", "")
+        if name and name not in self.material_index:
+            table.fail(unknown("material", name, (known for known in self.material_index if known)))
+        return self.material_index[name] if name else None
+
+    def _default_material(self) -> int:
+        """White, roughness 1; made when the first object needs it. No TOML material can have its name."""
+        if "" not in self.material_index:
+            self.material_index[""] = len(self.materials)
+            self.materials.append(Material())
+        return self.material_index[""]
+
+    def _places(self, table: Table) -> list[F64]:
+        """Offsets in world axes: n along one step, or a block of nx x ny x nz."""
+        step = table.vector("step", (0.0, 0.0, 0.0))
+        if isinstance(table.raw("count"), list):
+            counts = table.vector(
+                "count", (1, 1, 1), (lambda x: x >= 1 and x == int(x), "must be whole and at least 1")
+            )
+            each = tuple(int(n) for n in counts)
+            stride = np.diag(step)
+        else:
+            each, stride = (table.integer("count", 1),), np.array([step])
+        total = int(np.prod(each))
+        if len(self.instances) + total > MAX_INSTANCES:
+            table.fail(f"more than {MAX_INSTANCES} instances in all", "count")
+        if total > 1 and any(n > 1 and not stride[i].any() for i, n in enumerate(each)):
+            table.fail(f"step = {list(step)}: must not be 0 where count repeats, or the copies coincide")
+        cells = itertools.product(*(range(n) for n in reversed(each)))
+        return [np.array(cell[::-1], np.float64) @ stride for cell in cells]
+
+    def _shape(self, table: Table) -> tuple[str, int]:
+        kind = table.string("shape", "")
+        if kind not in shapes.SHAPES:
+            table.fail(unknown("shape", kind, shapes.SHAPES))
+        given = sceneparts.parameters(table, shapes.parameters(kind))
+        key = f"{kind} {sorted(given.items())}"
+        if key not in self.shape_meshes:
+            try:
+                made = shapes.shape(kind, **given)
+            except ShapeError as error:
+                table.fail(str(error))
+            self.shape_meshes[key] = len(self.meshes)
+            self.meshes.append(Mesh(kind, (made,)))
+        return kind, self.shape_meshes[key]
+
+    def _model(self, path: Path, smooth: bool, table: Table) -> tuple[Scene, int, int]:
+        """The scene of a model file, with the places of its first mesh and material here; read once."""
+        from glhybrid.load import read_model
+
+        if path.suffix.lower() == ".toml":
+            table.fail("a scene file inside a scene file is not supported", "file")
+        if (path, smooth) not in self.models:
+            model = read_model(path, strict=self.strict, allow_outside=self.allow_outside, smooth=smooth)
+            self.models[path, smooth] = model, len(self.meshes), len(self.materials)
+            own = len(self.materials)
+            self.meshes += [_with_materials_from(mesh, own) for mesh in model.meshes]
+            self.materials += model.materials
+            self.digest.update(model.sha256.encode())
+            for warning in model.warnings:
+                self._warn(f"{path.name}: {warning}")
+        return self.models[path, smooth]
+
+    def _place(
+        self, path: Path, model: Scene, mesh: int, own: int, world: F64, name: str, material: int | None, table: Table
+    ) -> None:
+        """One copy of a model: its instances, lights and cameras moved; nodes only where something may move them."""
+        alive = bool(model.animations or model.skins)
+        root = len(self.nodes)
+        node_of = (lambda n: n if n < 0 else root + 1 + n) if alive else (lambda n: -1)
+        first_skin = len(self.skins)
+        if alive:
+            self.nodes.append(Node(name or path.stem, -1, matrix=world))
+            self.nodes += [replace(n, parent=root if n.parent < 0 else node_of(n.parent)) for n in model.nodes]
+            self.skins += [replace(s, joints=tuple(node_of(j) for j in s.joints)) for s in model.skins]
+        for i, clip in enumerate(model.animations):
+            _, channels = self.clips.setdefault((path, i), (clip.name, []))
+            channels += [replace(c, node=node_of(c.node)) for c in clip.channels]
+        for instance in model.instances:
+            parts = len(model.meshes[instance.mesh].primitives)
+            materials = None if instance.materials is None else tuple(own + m for m in instance.materials)
+            if material is not None:
+                materials = (material,) * parts
+                self._ready(mesh + instance.mesh, materials, table)
+            self.instances.append(
+                Instance(
+                    mesh + instance.mesh,
+                    world @ instance.world_from_object,
+                    "/".join(part for part in (name, instance.name) if part),
+                    materials,
+                    node_of(instance.node),
+                    instance.skin + first_skin if instance.skin >= 0 else -1,
+                )
+            )
+        self.lights += [sceneparts.moved_light(light, world, node_of(light.node)) for light in model.lights]
+        self.cameras += [sceneparts.moved_camera(camera, world, node_of(camera.node)) for camera in model.cameras]
+
+    def _ready(self, mesh: int, materials: tuple[int, ...], table: Table) -> None:
+        """Makes sure that the mesh has what the materials put on it read: UVs, and tangents for normal maps."""
+        from glhybrid.load.tangents import with_tangents
+
+        parts = list(self.meshes[mesh].primitives)
+        for i, (part, m) in enumerate(zip(parts, materials, strict=True)):
+            textures = self.materials[m].textures
+            if isinstance(part, Sphere) or not textures:
+                continue
+            if any((part.uv0 if t.uv_set == 0 else part.uv1) is None for t in textures.values()):
+                self._warn(
+                    f'{table.where}: mesh "{self.meshes[mesh].name}" has no UVs: the material\'s textures are flat'
+                )
+            normal = textures.get("normal") or textures.get("clearcoat_normal")
+            if normal and part.tangent is None:
+                parts[i] = with_tangents(part, normal.uv_set, normal.uv_transform)
+        self.meshes[mesh] = replace(self.meshes[mesh], primitives=tuple(parts))
+
+    def _warn(self, message: str) -> None:
+        self.warnings[message] = None
+
+
+_UNIT_KEYS = (
+    "metallic", "roughness", "alpha_cutoff", "occlusion_strength", "specular",
+    "clearcoat", "clearcoat_roughness", "transmission",
+)  # fmt: skip
+
+
+def _shifted(world: F64, offset: F64) -> F64:
+    moved = world.copy()
+    moved[:3, 3] += offset
+    return moved
+
+
+def _with_materials_from(mesh: Mesh, first: int) -> Mesh:
+    """The mesh of a file with its material indices counted from `first`."""
+
+    def renumbered(p: Triangles | Sphere) -> Triangles | Sphere:
+        return replace(p, material=p.material + first)
+
+    return replace(mesh, primitives=tuple(renumbered(p) for p in mesh.primitives))
