@@ -51,6 +51,11 @@ def _merge_into(builder: Any, pointer: Any, value: Any) -> None:
     _store(builder, builder.select(builder.icmp_unsigned(">", old, value), old, value), pointer)
 
 
+def _constant(item: Any, dimensions: int) -> Any:
+    """Type of an input array, which may be one that cannot be written."""
+    return types.Array(item, dimensions, "C", readonly=True)
+
+
 @_simd
 def clear(typing: Any, boxes: Any, i: Any) -> Any:
     """boxes[i] = the empty box."""
@@ -315,7 +320,7 @@ def grow(fragments, nodes, todo, todo_centroids, step, max_leaf, median_depth, o
 
 @kernel(
     types.void(
-        types.float32[:, :, ::1], types.int64, types.int64, types.float64[::1], types.float64[::1], types.float64,
+        _constant(types.float32, 3), types.int64, types.int64, types.float64[::1], types.float64[::1], types.float64,
         types.uint16[:, ::1], types.uint16[:, ::1], types.int64,
     )
 )  # fmt: skip
@@ -338,7 +343,8 @@ def triangle_fragments(position, first, last, grid_min, cells, pad, fragments, c
 
 @kernel(
     types.void(
-        types.uint32[:, ::1], types.uint32[::1], types.uint32[::1], types.uint16[:, ::1], types.int64, types.int64,
+        _constant(types.uint32, 2), _constant(types.uint32, 1), _constant(types.uint32, 1), types.uint16[:, ::1],
+        types.int64, types.int64,
         types.uint32[:, ::1],
     )
 )  # fmt: skip
