@@ -106,7 +106,7 @@ class Program:
                     self._bind[member] = self._sampler_binder(samplers)
                     samplers += 1
                 elif kind in _IMAGE_TYPES:
-                    handle.value = images
+                    context.raw.set_sampler(program, member, images)
                     self._bind[member] = self._image_binder(images)
                     images += 1
                 else:
