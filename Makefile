@@ -1,0 +1,34 @@
+# make demo    sets up, renders the built-in scene `atrium` and says where the picture is
+# make test    sets up, then lint, types and tests
+# make setup   leaves a ready .venv in the checkout; quick when that is done already
+#
+# PYTHON=python3.12 chooses the interpreter (>= 3.11).
+
+BIN := .venv/bin
+SETUP := scripts/setup.sh
+DEMO := out/atrium.png
+
+.PHONY: help setup setup-dev demo test clean
+
+help:
+	@sed -n 's/^# \(make .*\)/\1/p' Makefile
+
+setup:
+	@sh $(SETUP)
+
+setup-dev:
+	@sh $(SETUP) dev
+
+demo: setup
+	@mkdir -p $(dir $(DEMO))
+	@$(BIN)/glhybrid render atrium -o $(DEMO)
+	@echo "The picture: $(abspath $(DEMO))"
+
+test: setup-dev
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	GLHYBRID_REQUIRE_GL=1 $(BIN)/python -m pytest
+
+clean:
+	rm -rf out build dist .pytest_cache .ruff_cache .mypy_cache
