@@ -31,18 +31,18 @@ _SAMPLER_TYPES = {0x8B5E, 0x8DC1, 0x8DD2, 0x8DD0, 0x8DD8, 0x8DC2, 0x8B60, 0x8DCA
 class Source:
     """One shader after includes: text with #line directives, and the files that the numbers in them mean."""
 
-    def __init__(self, folder: Path, path: str) -> None:
+    def __init__(self, folders: tuple[Path, ...], path: str) -> None:
         self.path = path
         self.files: list[str] = []
-        self.text = self._expand(folder, path)
+        self.text = self._expand(folders, path)
 
-    def _expand(self, folder: Path, path: str) -> str:
+    def _expand(self, folders: tuple[Path, ...], path: str) -> str:
         index = len(self.files)
         self.files.append(path)
         if path == "layout.glsl":
             text = layout.glsl_header()
         else:
-            file = folder / path
+            file = next((f / path for f in folders if (f / path).is_file()), folders[0] / path)
             if not file.is_file():
                 raise ShaderError(f'{file}: shader not found; reinstall glhybrid or check the include "{path}"')
             text = file.read_text(encoding="utf-8")
@@ -53,7 +53,7 @@ class Source:
                 lines.append(line)
                 continue
             if match.group(1) not in self.files:  # each file once
-                lines.append(self._expand(folder, match.group(1)))
+                lines.append(self._expand(folders, match.group(1)))
             lines.append(f"#line {number + 1} {index}")
         return "\n".join(lines)
 
@@ -153,17 +153,17 @@ class Program:
 
 
 class Shaders:
-    """All programs of one context."""
+    """All programs of one context. extra: folders searched after glsl/, for shaders that are not part of the package."""
 
-    def __init__(self, context: Context, folder: Path | None = None) -> None:
+    def __init__(self, context: Context, extra: tuple[Path, ...] = ()) -> None:
         self._context = context
-        self._folder = folder or data_folder("glsl")
+        self._folders = (data_folder("glsl"), *extra)
         self._sources: dict[str, Source] = {}
         self._programs: dict[tuple[str, ...], Program] = {}
 
     def _source(self, path: str, features: Features) -> tuple[Source, str, dict[str, int]]:
         if path not in self._sources:
-            self._sources[path] = Source(self._folder, path)
+            self._sources[path] = Source(self._folders, path)
         source = self._sources[path]
         text, named = source.specialise(features)
         if folder := os.environ.get("GLHYBRID_DUMP_SHADERS"):
