@@ -34,6 +34,7 @@ COMPRESSED = {  # what to do where a file cannot be read without an extension
 }
 
 
+@np.errstate(invalid="ignore", over="ignore", divide="ignore")  # a file may hold any bits; what is made is checked
 def load_gltf(path: Path, *, strict: bool = False, smooth: bool = False, allow_outside: bool = False) -> Scene:
     """The default scene of a .gltf or .glb file, told apart by content.
 

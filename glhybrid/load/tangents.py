@@ -34,7 +34,7 @@ def smooth_normals(position: F32, index: U32, weld: bool = True) -> F32:
     """
     n_face = _unit(_area_vectors(position, index))
     p = position[index].astype(np.float64)
-    vertex = (_first_equal_row(position) if weld else np.arange(len(position)))[index]
+    vertex = (first_equal_row(position) if weld else np.arange(len(position)))[index]
     total = np.zeros((len(position), 3))
     with np.errstate(invalid="ignore", over="ignore"):
         for corner in range(3):
@@ -43,7 +43,7 @@ def smooth_normals(position: F32, index: U32, weld: bool = True) -> F32:
             angle = np.nan_to_num(np.arccos(np.clip((a * b).sum(1), -1.0, 1.0)))
             _add_rows(total, vertex[:, corner], n_face * angle[:, None])
     unit = _unit(total, fallback=(0.0, 0.0, 1.0)).astype(np.float32)
-    return unit[_first_equal_row(position)] if weld else unit
+    return unit[first_equal_row(position)] if weld else unit
 
 
 def flat(triangles: Triangles) -> Triangles:
@@ -58,6 +58,15 @@ def flat(triangles: Triangles) -> Triangles:
 def smooth(triangles: Triangles) -> Triangles:
     """The same triangles with smooth vertex normals. Tangents are dropped."""
     return replace(triangles, normal=smooth_normals(triangles.position, triangles.index), tangent=None)
+
+
+def with_normals(triangles: Triangles, normal: NDArray[np.floating]) -> Triangles:
+    """The same triangles with these normals (V, 3) at length 1; those without direction replaced by smooth ones."""
+    unit = _unit(normal.astype(np.float64)).astype(np.float32)
+    bad = ~np.any(unit, axis=1)
+    if bad.any():
+        unit[bad] = smooth_normals(triangles.position, triangles.index)[bad]
+    return replace(triangles, normal=unit, tangent=None)
 
 
 def with_tangents(triangles: Triangles, uv_set: int = 0, uv_transform: F64 | None = None) -> Triangles:
@@ -85,7 +94,7 @@ def tangents(position: F32, normal: F32, uv: F32, index: U32) -> tuple[F32, I64,
     points to -v, which is up in the image); source (W,), the old vertex of each new one, which begins with 0 to V - 1;
     and the new index (T, 3). W > V only where corners of one vertex need different tangents.
     """
-    weld = _first_equal_row(np.concatenate([position, normal, uv], axis=1))[index]
+    weld = first_equal_row(np.concatenate([position, normal, uv], axis=1))[index]
     slope, positive, usable, healthy = _triangle_tangents(position, uv, index)
     fan, positive = _fans(weld, positive, usable, healthy)
     n = normal[index].reshape(-1, 3).astype(np.float64)
@@ -129,10 +138,10 @@ def _triangle_tangents(
         u_axis = t2[:, 1:] * d1 - t1[:, 1:] * d2  # Mikkelsen, eq. 18
         v_axis = t1[:, :1] * d2 - t2[:, :1] * d1  # eq. 19
     positive = area > 0
-    usable: NDArray[np.bool_] = np.isfinite(p).all((1, 2))
+    usable = np.asarray(np.isfinite(p).all((1, 2)))
     for a, b in ((0, 1), (0, 2), (1, 2)):
         usable &= np.any(p[:, a] != p[:, b], axis=1)
-    healthy: NDArray[np.bool_] = usable & (np.abs(area) > _TINY) & np.any(u_axis, axis=1) & np.any(v_axis, axis=1)
+    healthy = usable & (np.abs(area) > _TINY) & np.any(u_axis, axis=1) & np.any(v_axis, axis=1)
     healthy &= np.isfinite(u_axis).all(1) & np.isfinite(v_axis).all(1)
     slope = _unit(u_axis) * np.where(positive, 1.0, -1.0)[:, None]
     return np.where(healthy[:, None], slope, 0.0), positive, usable, healthy
@@ -256,7 +265,7 @@ def _add_rows(total: F64, row: I64, values: F64) -> None:
         total[:, k] += np.bincount(row, values[:, k], minlength=len(total))
 
 
-def _first_equal_row(rows: F32) -> I64:
+def first_equal_row(rows: F32) -> I64:
     """(N,) the index of the first row with the same values (-0 equals 0; NaN equals a NaN of the same bits)."""
     bits = np.ascontiguousarray(rows + np.float32(0.0), np.float32).view(np.uint32)
     key = np.zeros(len(bits), np.uint64)
