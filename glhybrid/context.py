@@ -28,6 +28,7 @@ log = logging.getLogger("glhybrid")
 REQUIRED_VERSION = (4, 3)
 DEVICE_NAMES = ("auto", "gpu", "software", "egl:N", "cuda:N", "osmesa")
 _SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "swr (", "software rasterizer", "swiftshader", "basic render")
+_ELSEWHERE = "use --device auto, or see `glhybrid doctor`"
 
 
 class Native(Protocol):
@@ -42,7 +43,7 @@ class Native(Protocol):
 
 @dataclass(frozen=True)
 class Device:
-    """What a context runs on; the receipt's `device`. version: the driver's words. egl_index, cuda: None without one."""
+    """What a context runs on; the receipt's `device`. version: the driver's words. egl_index, cuda: None if absent."""
 
     backend: Literal["egl", "osmesa", "window"]
     vendor: str
@@ -200,10 +201,10 @@ def _auto() -> Context:
 
 def _software() -> Context:
     candidates = [d for d in _listed() if d.software]
-    if host.has_egl() and has_surfaceless():
-        candidates.append(SURFACELESS)
+    if not candidates and host.has_egl() and has_surfaceless():
+        candidates = [SURFACELESS]  # a Mesa that does not list its software device
     try:
-        return _first(candidates, "no software renderer can be used", _must_be_software)
+        return _first(candidates, "no software renderer can be used", _must_be_software, f"to mend: {host.MESA_FIX}")
     except DeviceError as error:
         try:
             return Context(OsmesaContext(REQUIRED_VERSION), "osmesa")
@@ -232,8 +233,13 @@ def _numbered(kind: str, number: int) -> EglDevice:
     raise DeviceError(f"no {what} {number}; this machine has: {known}{_remedy()}")
 
 
-def _first(candidates: Iterable[EglDevice], failure: str, objection: Callable[[Device], str]) -> Context:
-    """The first candidate that opens and to which there is no objection; otherwise one error with every reason."""
+def _first(
+    candidates: Iterable[EglDevice], failure: str, objection: Callable[[Device], str], advice: str = _ELSEWHERE
+) -> Context:
+    """The first candidate that opens and to which there is no objection; otherwise one error with every reason.
+
+    advice: what to do where the machine shows no problem of its own.
+    """
     reasons: list[str] = []
     for candidate in candidates:
         try:
@@ -248,7 +254,7 @@ def _first(candidates: Iterable[EglDevice], failure: str, objection: Callable[[D
         reasons.append(f"{candidate}: {reason}")
     if not reasons:
         reasons.append("EGL lists none")
-    raise DeviceError(f"{failure}: {'; '.join(reasons)}{_remedy()}")
+    raise DeviceError(f"{failure}: {'; '.join(reasons)}{_remedy(advice)}")
 
 
 def _must_be_hardware(device: Device) -> str:
@@ -259,9 +265,9 @@ def _must_be_software(device: Device) -> str:
     return "" if device.software else f"it is a GPU, {device.renderer}"
 
 
-def _remedy() -> str:
+def _remedy(advice: str = _ELSEWHERE) -> str:
     found = host.problems()
-    return f". {found[0].what}; to mend: {found[0].fix}" if found else "; use --device auto, or see `glhybrid doctor`"
+    return f". {found[0].what}; to mend: {found[0].fix}" if found else f"; {advice}"
 
 
 def _too_old(device: EglDevice) -> str:
@@ -273,7 +279,7 @@ def _too_old(device: EglDevice) -> str:
     raw = GL(native.load_opengl_function)
     name, version = raw.get_string(GL_RENDERER), raw.get_string(GL_VERSION)
     native.release()
-    return f"{name} has OpenGL {version}, below 4.3: update its driver, or use --device software"
+    return f"{name} has OpenGL {version}, below 4.3: its driver must be newer"
 
 
 def is_software(renderer: str) -> bool:

@@ -21,6 +21,8 @@ _VENDOR_DIRS = ("/etc/glvnd/egl_vendor.d", "/usr/share/glvnd/egl_vendor.d")
 # Where container runtimes mount NVIDIA's driver instead (GKE, some Kubernetes device plugins).
 _MOUNTED_VENDOR_DIRS = ("/usr/local/nvidia/share/glvnd/egl_vendor.d", "/usr/local/glvnd/share/glvnd/egl_vendor.d")
 
+_UNREADABLE = " (unreadable)"
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -40,7 +42,8 @@ class Host:
 
     libegl: bool
     libosmesa: bool
-    egl_vendors: tuple[str, ...]  # libraries named by libglvnd's vendor files
+    egl_vendors: tuple[str, ...]  # libraries that libglvnd's vendor files name
+    broken_vendors: tuple[str, ...]  # those of them that cannot be opened
     container: str  # "" if none is noticed
     nvidia_driver: str  # the kernel module's version, "" without one
     nvidia_gl: bool  # NVIDIA's EGL library can be loaded
@@ -89,7 +92,7 @@ def _vendors() -> tuple[str, ...]:
         try:
             found.append(str(json.loads(file.read_text())["ICD"]["library_path"]))
         except (OSError, ValueError, KeyError, TypeError):
-            found.append(f"{file} (unreadable)")
+            found.append(f"{file}{_UNREADABLE}")
     return tuple(found)
 
 
@@ -129,12 +132,13 @@ def has_egl() -> bool:
 
 def look() -> Host:
     """Looks at the machine: opens libraries and reads files, starts nothing."""
-    libegl = has_egl()
+    libegl, vendors = has_egl(), _vendors()
     nodes = sorted(str(p) for p in Path("/dev/dri").glob("*[0-9]")) if Path("/dev/dri").is_dir() else []
     return Host(
         libegl=libegl,
         libosmesa=find_osmesa() is not None,
-        egl_vendors=_vendors(),
+        egl_vendors=vendors,
+        broken_vendors=tuple(v for v in vendors if _open(v) is None),
         container=_container(),
         nvidia_driver=_nvidia_driver(),
         nvidia_gl=_open("libEGL_nvidia.so.0") is not None,
@@ -174,6 +178,14 @@ def problems(host: Host | None = None) -> list[Problem]:
     if host.dri_denied:
         fix = f"usermod -aG render,video {os.environ.get('USER', '$USER')}, then log in again"
         found.append(Problem(f"no right to open {', '.join(host.dri_denied)}", fix, True))
+    for library in host.broken_vendors:
+        if library.endswith(_UNREADABLE):
+            variable = next((v for v in host.environment if v.startswith("__EGL_VENDOR_LIBRARY")), "")
+            fix = f"unset {variable}" if variable else MESA_FIX
+            found.append(Problem(f"the EGL vendor file {library.removesuffix(_UNREADABLE)} cannot be read", fix))
+        else:
+            fix = MESA_FIX if "mesa" in library else f"ldconfig, or add the folder of {library} to LD_LIBRARY_PATH"
+            found.append(Problem(f"the EGL driver {library} is named in a vendor file, but cannot be opened", fix))
     if host.libegl and host.egl_vendors and not any("mesa" in v for v in host.egl_vendors):
         found.append(Problem("Mesa, the software renderer, is not installed", MESA_FIX))
     if os.environ.get("LIBGL_ALWAYS_SOFTWARE", "0") not in ("0", "", "false"):

@@ -139,9 +139,22 @@ def test_a_driver_below_4_3_is_named_with_its_version() -> None:
     assert "OpenGL 4.2" in done.stdout and "below 4.3" in done.stdout and done.stdout.count("\n") == 1
 
 
-def test_no_driver_at_all_says_what_to_install() -> None:
-    done = _try("egl:0", __EGL_VENDOR_LIBRARY_FILENAMES="/nonexistent.json", __EGL_VENDOR_LIBRARY_DIRS="/nonexistent")
-    assert done.returncode == 3 and host.MESA_FIX in done.stdout and done.stdout.count("\n") == 1
+def test_no_driver_at_all_says_what_to_install(tmp_path: Path) -> None:
+    for device in ("egl:0", "software"):
+        done = _try(device, __EGL_VENDOR_LIBRARY_DIRS=str(tmp_path))
+        if "osmesa" in done.stdout:
+            continue  # `software` found OSMesa instead
+        assert done.returncode == 3 and host.MESA_FIX in done.stdout and done.stdout.count("\n") == 1
+    done = _try("egl:0", __EGL_VENDOR_LIBRARY_FILENAMES="/nonexistent.json")
+    assert done.returncode == 3 and "/nonexistent.json cannot be read" in done.stdout
+    assert "unset __EGL_VENDOR_LIBRARY_FILENAMES" in done.stdout
+
+
+def test_a_vendor_file_without_its_library_is_noticed(tmp_path: Path) -> None:
+    file = tmp_path / "50_gone.json"
+    file.write_text('{"file_format_version": "1.0.0", "ICD": {"library_path": "libEGL_gone_mesa.so.0"}}')
+    done = _try("gpu", __EGL_VENDOR_LIBRARY_FILENAMES=str(file))
+    assert done.returncode == 3 and "libEGL_gone_mesa.so.0 is named" in done.stdout and host.MESA_FIX in done.stdout
 
 
 def test_no_libegl(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -227,7 +240,8 @@ def test_software_renderers_by_name(renderer: str, software: bool) -> None:
 
 
 _HEALTHY = Host(
-    libegl=True, libosmesa=False, egl_vendors=("libEGL_mesa.so.0",), container="", nvidia_driver="", nvidia_gl=False,
+    libegl=True, libosmesa=False, egl_vendors=("libEGL_mesa.so.0",), broken_vendors=(), container="",
+    nvidia_driver="", nvidia_gl=False,
     nvidia_capabilities="", dri_nodes=(), dri_denied=(), environment={},
 )  # fmt: skip
 
@@ -238,6 +252,7 @@ _HEALTHY = Host(
         ({}, None, None),
         ({"libegl": False, "egl_vendors": ()}, "libEGL.so.1 is missing", host.MESA_FIX),
         ({"egl_vendors": ()}, "has no driver", host.MESA_FIX),
+        ({"broken_vendors": ("libEGL_mesa.so.0",)}, "libEGL_mesa.so.0 is named", host.MESA_FIX),
         (
             {"nvidia_driver": "550.54.15", "container": "docker", "nvidia_capabilities": "compute,utility"},
             "NVIDIA_DRIVER_CAPABILITIES=compute,utility",
