@@ -49,7 +49,7 @@ def read_model(path: Path, *, strict: bool = False, allow_outside: bool = False,
     if suffix in MESH_SUFFIXES:
         from glhybrid.load.mesh import load_mesh
 
-        return load_mesh(path, smooth=smooth)
+        return load_mesh(path, strict=strict, smooth=smooth, allow_outside=allow_outside)
     raise LoadError(f'{path}: cannot read "{suffix}" files; supported: {", ".join(SUFFIXES)}')
 
 
