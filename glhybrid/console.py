@@ -1,9 +1,10 @@
 """What the command line says while it works: log lines, progress, tables. Everything but results goes to stderr."""
 
 import contextlib
+import io
 import logging
 import sys
-import time
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -41,63 +42,71 @@ def progress(shown: bool) -> Iterator[Progress]:
     if not shown or not sys.stderr.isatty():
         yield lambda stage, done, total: None
         return
-    bar: Any = None
-    task: Any = None
-    began = time.monotonic()
-
-    def show(stage: str, done: int, total: int) -> None:
-        nonlocal bar, task
-        if bar is None:
-            if time.monotonic() - began < PATIENCE_S:
-                return
-            bar, task = _bar(stage)
-        bar.update(task, description=stage, completed=done, total=total or None)
-
+    bar = _Bar()
+    timer = threading.Timer(PATIENCE_S, bar.start)  # by the clock: loading a file calls nothing back
+    timer.daemon = True
+    timer.start()
     try:
-        yield show
+        yield bar.show
     finally:
-        if bar is not None:
-            bar.stop()
+        timer.cancel()
+        bar.stop()
 
 
-def _bar(stage: str) -> tuple[Any, Any]:
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        TaskProgressColumn,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+class _Bar:
+    """rich's progress bar, made when it is first wanted."""
 
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        transient=True,
-    )
-    bar.start()
-    return bar, bar.add_task(stage, total=None)
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._state: tuple[str, int, int] = ("", 0, 0)
+        self._bar: Any = None
+        self._task: Any = None
+        self._stopped = False
+
+    def show(self, stage: str, done: int, total: int) -> None:
+        with self._lock:
+            self._state = stage, done, total
+            if self._bar is not None:
+                self._bar.update(self._task, description=stage, completed=done, total=total or None)
+
+    def start(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+        with self._lock:
+            if self._stopped:
+                return
+            stage, done, total = self._state
+            columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+            self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
+            self._task = self._bar.add_task(stage, completed=done, total=total or None)
+            self._bar.start()
+
+    def stop(self) -> None:
+        with self._lock:
+            self._stopped = True
+            if self._bar is not None:
+                self._bar.stop()
 
 
-def table(columns: Sequence[str], rows: Sequence[Sequence[object]], title: str = "") -> None:
+def table(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
     """A table on stdout: with lines on a terminal, plain columns that never wrap elsewhere."""
     from rich.box import ROUNDED
     from rich.console import Console
     from rich.table import Table
 
     terminal = sys.stdout.isatty()
-    grid = Table(title=title or None, title_justify="left", box=ROUNDED if terminal else None, pad_edge=terminal)
-    grid.show_header = any(columns)
+    grid = Table(box=ROUNDED if terminal else None, pad_edge=terminal, show_header=any(columns))
     for column in columns:
         grid.add_column(column, no_wrap=not terminal)
     for row in rows:
         grid.add_row(*(_cell(value) for value in row))
-    Console(width=None if terminal else 1000, highlight=False).print(grid)
+    if terminal:
+        Console(highlight=False).print(grid)
+        return
+    text = io.StringIO()
+    Console(file=text, width=1000, highlight=False).print(grid)
+    print("\n".join(line.rstrip() for line in text.getvalue().splitlines()))
 
 
 def _cell(value: object) -> str:
@@ -105,6 +114,8 @@ def _cell(value: object) -> str:
 
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}"
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, (list, tuple)):

@@ -1,8 +1,10 @@
 """The command line: what it refuses and how, what it hands to the renderer, what it prints and where."""
 
+import io
 import json
 import subprocess
 import sys
+import time
 import types
 from collections.abc import Sequence
 from dataclasses import replace
@@ -202,21 +204,28 @@ def test_scenes_and_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert code == 0 and out.strip() == glhybrid.__version__
 
 
-def test_progress_waits_a_second_then_draws_and_cleans_up(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+def test_progress_waits_a_second_then_draws_by_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERM", "xterm")
-    with console.progress(True) as show:
-        show("frames", 1, 4)
-    assert capsys.readouterr().err == ""
-    monkeypatch.setattr(console, "PATIENCE_S", 0.0)
-    with console.progress(True) as show:
-        show("frames", 1, 4)
-        show("frames", 4, 4)
-    with console.progress(False) as show:
-        show("frames", 4, 4)
-    assert capsys.readouterr().out == ""
+
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    def drawn(shown: bool, terminal: bool = True) -> str:
+        stderr = Terminal() if terminal else io.StringIO()
+        monkeypatch.setattr(sys, "stderr", stderr)
+        with console.progress(shown) as show:
+            show("loading", 0, 0)
+            time.sleep(0.3)  # nothing calls back meanwhile
+            show("frames", 2, 4)
+            time.sleep(0.2)
+        return stderr.getvalue()
+
+    assert drawn(True) == ""  # sooner than the patience of a second
+    monkeypatch.setattr(console, "PATIENCE_S", 0.01)
+    text = drawn(True)
+    assert "loading" in text and "frames" in text and "50%" in text
+    assert drawn(False) == "" and drawn(True, terminal=False) == ""
 
 
 def test_help_imports_nothing_heavy_and_import_is_light() -> None:
