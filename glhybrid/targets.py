@@ -54,6 +54,9 @@ class Targets:
         return total
 
     def release(self) -> None:
+        if self._other:
+            # moderngl binds the last used framebuffer again when it makes the next one: that must not be one of ours.
+            self._context.gl.detect_framebuffer(0).use()
         for image in [*reversed(self._images.values()), *self._other]:
             image.release()
         self._images.clear()
