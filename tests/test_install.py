@@ -61,7 +61,7 @@ def test_an_installed_wheel_renders_outside_the_checkout(wheel: Path, tmp_path: 
     where = _run(sys.executable, "-c", "import glhybrid; print(glhybrid.__file__)", cwd=tmp_path, PYTHONPATH=str(site))
     assert where.stdout.startswith(str(site)), where.stdout + where.stderr
     done = _run(
-        sys.executable, site / "bin" / "glhybrid", "render", "showroom", "--size", "96x54", "--aa", "1", "-o", "a.png",
+        sys.executable, site / "bin" / "glhybrid", "render", "cornell", "--size", "96x54", "--aa", "1", "-o", "a.png",
         cwd=tmp_path, PYTHONPATH=str(site), GLHYBRID_CACHE=str(tmp_path / "cache"),
     )  # fmt: skip
     if done.returncode == 3 and os.environ.get("GLHYBRID_REQUIRE_GL") != "1":
