@@ -14,7 +14,7 @@ from glhybrid.errors import GeometryError
 from glhybrid.geometry import Geometry
 from glhybrid.gl import BufferTexture
 from glhybrid.needs import Features
-from glhybrid.scene import F64, Environment, Light, Material, Scene
+from glhybrid.scene import F64, SRGB_SLOTS, TEXTURE_SLOTS, Light, Material, Scene
 
 
 class GpuScene:
@@ -209,21 +209,16 @@ def material_rows(materials: tuple[Material, ...], pages: textures.TexturePages 
     rows = np.zeros(max(len(materials), 1), layout.dtype("Material"))
     plain = ("base_color", "emissive", "metallic", "specular_color", "roughness", "specular", "alpha_cutoff", "normal_scale",
              "occlusion_strength", "clearcoat", "clearcoat_roughness", "clearcoat_normal_scale", "transmission", "unlit")  # fmt: skip
-    slots = [name.removesuffix("_texture") for name in rows.dtype.names or () if name.endswith("_texture")]
     for row, material in zip(rows, materials, strict=False):
         for name in plain:
             row[name] = getattr(material, name)
         row["dielectric_f0"] = ((material.ior - 1) / (material.ior + 1)) ** 2
         row["alpha_mode"] = layout.CONSTANTS[f"ALPHA_{material.alpha_mode}"]
-        for slot in slots:
+        row["texture"] = -1
+        for k, slot in enumerate(TEXTURE_SLOTS):
             texture = material.textures.get(slot)
-            found = -1
             if texture is not None and pages is not None:
-                found = pages.row_of[id(texture), slot in textures.SRGB_SLOTS]
-            row[f"{slot}_texture"] = found
+                row["texture"][k] = pages.row_of[id(texture), slot in SRGB_SLOTS]
+                row["texture_slots"] |= 1 << k
     return rows
 
-
-def constant_radiance(environment: Environment) -> tuple[float, float, float]:
-    r, g, b = environment.radiance[0, 0].tolist()
-    return r, g, b

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from glhybrid.scene import TEXTURE_SLOTS
+
 Row = tuple[str, str, str]
 
 TEXTURE_ROWS: list[Row] = [
@@ -89,17 +91,8 @@ STRUCTS: dict[str, list[Row]] = {
         ("float", "transmission", "thin"),
         ("uint", "alpha_mode", "ALPHA_*"),
         ("uint", "unlit", "1 = base colour is radiance"),
-        ("int", "base_color_texture", "row of textures, -1 = none"),
-        ("int", "metallic_roughness_texture", ""),
-        ("int", "normal_texture", ""),
-        ("int", "occlusion_texture", ""),
-        ("int", "emissive_texture", ""),
-        ("int", "specular_texture", ""),
-        ("int", "specular_color_texture", ""),
-        ("int", "clearcoat_texture", ""),
-        ("int", "clearcoat_roughness_texture", ""),
-        ("int", "clearcoat_normal_texture", ""),
-        ("int", "transmission_texture", ""),
+        ("uint", "texture_slots", "bit k: texture[k] is set"),
+        ("int[11]", "texture", "row of textures by slot (SLOT_*), -1 = none"),
     ],
     "Texture": TEXTURE_ROWS,
     "Light": [
@@ -128,6 +121,8 @@ CONSTANTS: dict[str, int] = {
     "LIGHT_DIRECTIONAL": 0, "LIGHT_POINT": 1, "LIGHT_SPOT": 2,
     "WRAP_REPEAT": 0, "WRAP_CLAMP": 1, "WRAP_MIRROR": 2,
     "TONE_NONE": 0, "TONE_ACES": 1, "TONE_AGX": 2, "TONE_PBR_NEUTRAL": 3,
+    # Texture slots of a material, in the order of scene.TEXTURE_SLOTS.
+    **{f"SLOT_{slot.upper()}": i for i, slot in enumerate(TEXTURE_SLOTS)},
     # What passes/aov.comp writes, by the names of glhybrid/image.py.
     "AOV_DEPTH": 1, "AOV_DISTANCE": 2, "AOV_POSITION": 3, "AOV_NORMAL": 4, "AOV_NORMAL_GEOMETRIC": 5, "AOV_ALBEDO": 6,
     "AOV_ROUGHNESS": 7, "AOV_METALLIC": 8, "AOV_EMISSIVE": 9, "AOV_INSTANCE_ID": 10, "AOV_MATERIAL_ID": 11,
@@ -153,12 +148,22 @@ _TYPES: dict[str, tuple[Any, tuple[int, ...], int, int]] = {  # dtype, shape, al
 }  # fmt: skip
 
 
+def _type(kind: str) -> tuple[Any, tuple[int, ...], int, int]:
+    """dtype, shape, alignment, size; `int[11]` is an array, whose elements keep their own alignment in std430."""
+    kind, _, count = kind.partition("[")
+    base, shape, align, size = _TYPES[kind]
+    if not count:
+        return base, shape, align, size
+    number = int(count.rstrip("]"))
+    return base, (number, *shape), align, number * (-(-size // align) * align)
+
+
 def dtype(name: str) -> np.dtype[Any]:
     """NumPy dtype of a STRUCTS entry with std430 offsets; itemsize is the array stride."""
     offset, largest = 0, 4
     names, formats, offsets = [], [], []
     for kind, field, _ in STRUCTS[name]:
-        base, shape, align, size = _TYPES[kind]
+        base, shape, align, size = _type(kind)
         offset = -(-offset // align) * align
         names.append(field)
         formats.append((base, shape))

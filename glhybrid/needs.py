@@ -6,7 +6,7 @@ Each field of Features is a define, always set, 0 or 1 (or a number): USE_<NAME>
 
 from dataclasses import dataclass, fields, replace
 
-from glhybrid.scene import Material, Scene, Sphere, Triangles
+from glhybrid.scene import TEXTURE_SLOTS, Material, Scene, Sphere, Triangles
 from glhybrid.settings import Settings
 
 MIRROR_ROUGHNESS = 0.02  # as in lib/brdf.glsl
@@ -40,12 +40,14 @@ class Features:
     moeller_trumbore: bool = False  # tests only: the control that must leak
     bvh_stack: int = 0  # entries, from the depth of the trees
     bvh_inner_steps: int = 3  # inner nodes in a row, before a leaf
+    software: bool = False  # a CPU: its compiler runs the body of an `if` with no lane alive
+    texture_slots: int = 0  # bit k: some material has a texture in slot k (layout SLOT_*)
     aov: int = 0  # which, in passes/aov.comp
 
     def defines(self) -> dict[str, int]:
         """Names as GLSL knows them, with values."""
         values = {f.name.upper(): int(getattr(self, f.name)) for f in fields(self)}
-        return {name if name.startswith("BVH_") else f"USE_{name}": value for name, value in values.items()}
+        return {name if name.startswith(("BVH_", "TEXTURE_SLOTS")) else f"USE_{name}": value for name, value in values.items()}
 
     replace = replace
 
@@ -95,6 +97,7 @@ def find(scene: Scene, settings: Settings) -> Needs:
         blended=any(m.alpha_mode == "BLEND" or m.transmission > 0 for m in materials),
         single_sided=any(not m.double_sided for m in materials),
         textures=textures,
+        texture_slots=sum(1 << k for k, slot in enumerate(TEXTURE_SLOTS) if any(slot in m.textures for m in materials)),
         normal_map=normal_map,
         tangents=normal_map,
         extra_attributes=uv1 or any(p.color is not None for p in pieces),

@@ -135,8 +135,7 @@ vec3 transmittance_at(HitGroup group, Hit hit, bool front, uint see) {
     }
     if (!ALPHA_TEST && !BLENDED) return vec3(0.0);
     vec3 result = vec3(0.0);
-    // A loop, not an if: llvmpipe runs the body of an if with no lane alive, texture fetches and all.
-    for (bool look = group.any_hit == ANY_HIT_MASK || (see == SEE_BLOCKERS && group.any_hit == ANY_HIT_TINT); look; look = false) {
+    WHEN (group.any_hit == ANY_HIT_MASK || (see == SEE_BLOCKERS && group.any_hit == ANY_HIT_TINT)) {
         Material m = materials[group.material];
         vec4 color = base_color_at(m, hit);
         if (group.any_hit == ANY_HIT_MASK) result = vec3(color.a < m.alpha_cutoff ? 1.0 : 0.0);
@@ -210,7 +209,7 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
                 // Of surfaces at one distance the lowest id wins, whatever the order of the tree: the raster's rule too.
                 met = met && (!closest || candidate.t < hit.t || candidate.triangle < hit.triangle);
                 if (ALPHA_TEST || BLENDED || (SINGLE_SIDED && closest)) {
-                    for (bool ask = met; ask; ask = false) {
+                    WHEN (met) {
                         HitGroup group = hit_group_of(instance, candidate.geometry);
                         vec3 through = transmittance_at(group, candidate, front, see);
                         if (see == SEE_BLOCKERS) { tint *= through; met = max3(tint) <= 0.0; }

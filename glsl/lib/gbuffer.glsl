@@ -12,7 +12,7 @@ bool covered(Pixel p) { return p.hit.triangle != ID_NONE; }
 Pixel load_pixel(ivec2 px) {
     Pixel p = Pixel(primary_ray(px), MISS);
     uvec2 id = texelFetch(gbuffer_id, px, 0).xy;
-    for (bool look = id.y != ID_NONE; look; look = false) p.hit = hit_known(p.ray, id.x, id.y);
+    WHEN (id.y != ID_NONE) p.hit = hit_known(p.ray, id.x, id.y);
     return p;
 }
 

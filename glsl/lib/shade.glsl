@@ -32,7 +32,7 @@ vec3 direct_light(Surface s, vec3 v) {
     vec3 sum = vec3(0.0);
     for (uint i = 0u; i < frame.light_count; i++) {
         LightSample l = light_at(lights[i], s.point.position);
-        for (bool lit = arrives(l) && faces(s, l.dir); lit; lit = false) {
+        WHEN (arrives(l) && faces(s, l.dir)) {
             vec3 f = bsdf_eval(s.bsdf, v, l.dir) * l.irradiance;
 #if USE_SHADOW_RAYS
             f *= visibility_of(s.point, l);

@@ -14,9 +14,9 @@ struct Surface {
 };
 
 #if USE_NORMAL_MAP
-// Tangent-space normal to world. tangent_ws need not be unit or orthogonal (MikkTSpace: neither is restored a pixel).
-vec3 mapped_normal(int index, float scale, Attributes a, float log2_area, vec3 n, vec4 tangent) {
-    vec3 m = sample_texture(index, a.uv0, a.uv1, log2_area, false).xyz * 2.0 - 1.0;   // 127.5 is flat: glTF 3.9.3
+// Tangent-space normal, as texels, to world. The tangent need not be orthogonal (MikkTSpace does not restore it a pixel).
+vec3 mapped_normal(vec3 texel, float scale, vec3 n, vec4 tangent) {
+    vec3 m = texel * 2.0 - 1.0;                                            // 127.5 is flat: glTF 3.9.3
     m.xy *= scale;
     vec3 t = tangent.xyz, b = cross(n, t) * tangent.w;
     vec3 mapped = m.x * t + m.y * b + m.z * n;
@@ -85,34 +85,27 @@ Surface surface_at(Hit hit, Ray ray, float footprint) {
     s.bsdf.clearcoat = m.clearcoat;
     s.bsdf.clearcoat_roughness = m.clearcoat_roughness;
 #if USE_TEXTURES
-    // Loops, not ifs: see transmittance_at in lib/bvh.glsl.
-    for (bool look = m.base_color_texture >= 0; look; look = false)
-        color *= sample_texture(m.base_color_texture, a.uv0, a.uv1, log2_area, true);
-    for (bool look = m.metallic_roughness_texture >= 0; look; look = false) {
-        vec4 mr = sample_texture(m.metallic_roughness_texture, a.uv0, a.uv1, log2_area, false);
-        metallic *= mr.b;
-        roughness *= mr.g;
+    vec3 normal_xyz = vec3(0.5, 0.5, 1.0), coat_normal_xyz = normal_xyz;
+    // One call for all slots that this material fills: its code is large, and inlined wherever it is called.
+    for (uint rest = m.texture_slots & uint(TEXTURE_SLOTS); rest != 0u; rest &= rest - 1u) {
+        uint k = uint(findLSB(rest));
+        bool srgb = k == SLOT_BASE_COLOR || k == SLOT_EMISSIVE || k == SLOT_SPECULAR_COLOR;
+        vec4 c = sample_texture(materials[group.material].texture[k], a.uv0, a.uv1, log2_area, srgb);
+        if (HAS_SLOT(SLOT_BASE_COLOR) && k == SLOT_BASE_COLOR) color *= c;
+        if (HAS_SLOT(SLOT_METALLIC_ROUGHNESS) && k == SLOT_METALLIC_ROUGHNESS) { metallic *= c.b; roughness *= c.g; }
+        if (HAS_SLOT(SLOT_NORMAL) && k == SLOT_NORMAL) normal_xyz = c.xyz;
+        if (HAS_SLOT(SLOT_OCCLUSION) && k == SLOT_OCCLUSION) s.occlusion = 1.0 + m.occlusion_strength * (c.r - 1.0);
+        if (HAS_SLOT(SLOT_EMISSIVE) && k == SLOT_EMISSIVE) s.emissive *= c.rgb;
+        if (HAS_SLOT(SLOT_SPECULAR) && k == SLOT_SPECULAR) specular *= c.a;
+        if (HAS_SLOT(SLOT_SPECULAR_COLOR) && k == SLOT_SPECULAR_COLOR) specular_color *= c.rgb;
+        if (HAS_SLOT(SLOT_CLEARCOAT) && k == SLOT_CLEARCOAT) s.bsdf.clearcoat *= c.r;
+        if (HAS_SLOT(SLOT_CLEARCOAT_ROUGHNESS) && k == SLOT_CLEARCOAT_ROUGHNESS) s.bsdf.clearcoat_roughness *= c.g;
+        if (HAS_SLOT(SLOT_CLEARCOAT_NORMAL) && k == SLOT_CLEARCOAT_NORMAL) coat_normal_xyz = c.xyz;
+        if (HAS_SLOT(SLOT_TRANSMISSION) && k == SLOT_TRANSMISSION) s.bsdf.transmission *= c.r;
     }
-    for (bool look = m.occlusion_texture >= 0; look; look = false)
-        s.occlusion = 1.0 + m.occlusion_strength * (sample_texture(m.occlusion_texture, a.uv0, a.uv1, log2_area, false).r - 1.0);
-    for (bool look = m.emissive_texture >= 0; look; look = false)
-        s.emissive *= sample_texture(m.emissive_texture, a.uv0, a.uv1, log2_area, true).rgb;
-    if (SPECULAR) {
-        for (bool look = m.specular_texture >= 0; look; look = false)
-            specular *= sample_texture(m.specular_texture, a.uv0, a.uv1, log2_area, false).a;
-        for (bool look = m.specular_color_texture >= 0; look; look = false)
-            specular_color *= sample_texture(m.specular_color_texture, a.uv0, a.uv1, log2_area, true).rgb;
-    }
-    if (CLEARCOAT) {
-        for (bool look = m.clearcoat_texture >= 0; look; look = false)
-            s.bsdf.clearcoat *= sample_texture(m.clearcoat_texture, a.uv0, a.uv1, log2_area, false).r;
-        for (bool look = m.clearcoat_roughness_texture >= 0; look; look = false)
-            s.bsdf.clearcoat_roughness *= sample_texture(m.clearcoat_roughness_texture, a.uv0, a.uv1, log2_area, false).g;
-    }
-    for (bool look = BLENDED && m.transmission_texture >= 0; look; look = false)
-        s.bsdf.transmission *= sample_texture(m.transmission_texture, a.uv0, a.uv1, log2_area, false).r;
 #if USE_NORMAL_MAP
-    for (bool look = !sphere && max(m.normal_texture, m.clearcoat_normal_texture) >= 0; look; look = false) {
+    const uint normal_slots = 1u << SLOT_NORMAL | 1u << SLOT_CLEARCOAT_NORMAL;
+    WHEN (!sphere && (m.texture_slots & normal_slots) != 0u) {
         vec4 tangent = vec4(0.0);
         for (int i = 0; i < 3; i++) tangent += w[i] * uintBitsToFloat(texelFetch(tangents, int(tri[i])));
         tangent.xyz = to_world * tangent.xyz;
@@ -121,9 +114,9 @@ Surface surface_at(Hit hit, Ray ray, float footprint) {
         if (inst.flipped == 1u) tangent.w = -tangent.w;                    // a mirrored instance mirrors the bitangent
         // The map was made for the front of the surface; seen from behind, the whole frame turns over (glTF 3.9.4).
         vec3 n_front = n_shade * side;
-        if (m.normal_texture >= 0) s.bsdf.n = side * mapped_normal(m.normal_texture, m.normal_scale, a, log2_area, n_front, tangent);
-        if (m.clearcoat_normal_texture >= 0)
-            s.bsdf.n_coat = side * mapped_normal(m.clearcoat_normal_texture, m.clearcoat_normal_scale, a, log2_area, n_front, tangent);
+        if ((m.texture_slots >> SLOT_NORMAL & 1u) == 1u) s.bsdf.n = side * mapped_normal(normal_xyz, m.normal_scale, n_front, tangent);
+        if ((m.texture_slots >> SLOT_CLEARCOAT_NORMAL & 1u) == 1u)
+            s.bsdf.n_coat = side * mapped_normal(coat_normal_xyz, m.clearcoat_normal_scale, n_front, tangent);
     }
 #endif
 #endif

@@ -4,6 +4,9 @@
 // 8-bit weights, and differ by driver; these do not. Rejected too: bindless handles, which Mesa's llvmpipe lacks.
 #include "lib/geometry.glsl"
 
+// Is any material's slot k filled? The code of empty ones goes.
+#define HAS_SLOT(k) ((uint(TEXTURE_SLOTS) >> (k) & 1u) == 1u)
+
 #if USE_TEXTURES
 uniform sampler2DArray texture_pages;                                      // rgba8, as in the files
 layout(std430) readonly buffer Textures { Texture textures[]; };
@@ -21,42 +24,36 @@ int wrap(int i, int n, uint mode) {
     return i < n ? i : 2 * n - 1 - i;
 }
 
-vec4 texel(uvec4 level, ivec2 p, uint sampling, const bool srgb) {
-    ivec2 size = ivec2(level.z & 0xFFFFu, level.z >> 16u);
-    ivec2 at = ivec2(level.xy) + ivec2(wrap(p.x, size.x, sampling & 3u), wrap(p.y, size.y, (sampling >> 2u) & 3u));
-    vec4 c = texelFetch(texture_pages, ivec3(at, int(level.w)), 0);
-    if (srgb) c.rgb = srgb_to_linear(c.rgb);
-    return c;
-}
-
-vec4 bilinear(uvec4 level, vec2 uv, uint sampling, const bool srgb) {
-    vec2 size = vec2(level.z & 0xFFFFu, level.z >> 16u);
-    bool nearest = (sampling & 16u) != 0u;
-    vec2 p = uv * size - (nearest ? 0.0 : 0.5);
-    ivec2 i = ivec2(floor(p));
-    vec2 f = nearest ? vec2(0.0) : p - floor(p);
-    vec4 top = mix(texel(level, i, sampling, srgb), texel(level, i + ivec2(1, 0), sampling, srgb), f.x);
-    vec4 bottom = mix(texel(level, i + ivec2(0, 1), sampling, srgb), texel(level, i + ivec2(1, 1), sampling, srgb), f.x);
-    return mix(top, bottom, f.y);
-}
-
 vec2 texture_uv(Texture tex, vec2 uv0, vec2 uv1) {
     vec3 uv = vec3((tex.sampling & 32u) != 0u ? uv1 : uv0, 1.0);
     vec2 out_uv = vec2(dot(tex.u_row, uv), dot(tex.v_row, uv));
     return out_uv - floor(out_uv / 1024.0) * 1024.0;                       // far repeats keep their fraction's bits
 }
 
-// log2_area: log2 of the footprint's area over the area of the unit uv square; -inf for the finest level.
-vec4 sample_texture(int index, vec2 uv0, vec2 uv1, float log2_area, const bool srgb) {
+// log2_area: log2 of the footprint's area over the area of the unit uv square; FINEST_LEVEL for level 0.
+// One loop over four texels of one level, or eight of two: unrolled and inlined everywhere it is called, compilers
+// would see the texel code a hundred times.
+vec4 sample_texture(int index, vec2 uv0, vec2 uv1, float log2_area, bool srgb) {
     Texture tex = textures[index];
     vec2 uv = texture_uv(tex, uv0, uv1);
     float lod = clamp(0.5 * (log2_area + tex.log2_texels), 0.0, float(tex.level_count - 1u));
-    uint l = uint(lod);
-    vec4 c = bilinear(texture_levels[tex.first_level + l], uv, tex.sampling, srgb);
-    float f = lod - float(l);
-    for (bool blend = f > 0.0; blend; blend = false)                       // a loop: see transmittance_at in lib/bvh.glsl
-        c = mix(c, bilinear(texture_levels[tex.first_level + l + 1u], uv, tex.sampling, srgb), f);
-    return c;
+    bool nearest = (tex.sampling & 16u) != 0u;
+    float between = fract(lod);
+    int taps = between > 0.0 ? 8 : 4;
+    vec4 sum = vec4(0.0);
+    for (int k = 0; k < taps; k++) {
+        uvec4 level = texture_levels[tex.first_level + uint(lod) + uint(k >> 2)];
+        ivec2 size = ivec2(level.z & 0xFFFFu, level.z >> 16u);
+        vec2 p = uv * vec2(size) - (nearest ? 0.0 : 0.5), whole = floor(p);
+        ivec2 corner = ivec2(k & 1, (k >> 1) & 1), i = ivec2(whole) + corner;
+        vec2 f = nearest ? vec2(0.0) : p - whole;
+        vec2 w = mix(1.0 - f, f, vec2(corner));
+        ivec2 at = ivec2(level.xy) + ivec2(wrap(i.x, size.x, tex.sampling & 3u), wrap(i.y, size.y, (tex.sampling >> 2u) & 3u));
+        vec4 c = texelFetch(texture_pages, ivec3(at, int(level.w)), 0);
+        if (srgb) c.rgb = srgb_to_linear(c.rgb);
+        sum += c * (w.x * w.y * (k < 4 ? 1.0 - between : between));
+    }
+    return sum;
 }
 #endif
 
@@ -91,8 +88,7 @@ vec4 base_color_at(Material m, Hit hit) {
     Attributes a = attributes_at(hit);
     vec4 color = m.base_color * a.color;
 #if USE_TEXTURES
-    for (bool look = m.base_color_texture >= 0; look; look = false)
-        color *= sample_texture(m.base_color_texture, a.uv0, a.uv1, FINEST_LEVEL, true);
+    WHEN (m.texture[SLOT_BASE_COLOR] >= 0) color *= sample_texture(m.texture[SLOT_BASE_COLOR], a.uv0, a.uv1, FINEST_LEVEL, true);
 #endif
     return color;
 }
@@ -101,9 +97,9 @@ vec4 base_color_at(Material m, Hit hit) {
 vec3 tint_at(Material m, vec4 color, Hit hit) {
     float transmission = m.transmission;
 #if USE_TEXTURES
-    if (m.transmission_texture >= 0) {
+    WHEN (HAS_SLOT(SLOT_TRANSMISSION) && m.texture[SLOT_TRANSMISSION] >= 0) {
         Attributes a = attributes_at(hit);
-        transmission *= sample_texture(m.transmission_texture, a.uv0, a.uv1, FINEST_LEVEL, false).r;
+        transmission *= sample_texture(m.texture[SLOT_TRANSMISSION], a.uv0, a.uv1, FINEST_LEVEL, false).r;
     }
 #endif
     float alpha = m.alpha_mode == ALPHA_BLEND ? color.a : 1.0;

@@ -22,7 +22,7 @@ void main() {
         vec3 r = mirror_direction(s, v, bent);
         bool smooth_enough = mirror_roughness(s) < 1.0 && !s.unlit;
         reason = smooth_enough ? (bent ? REASON_BELOW : REASON_NONE) : REASON_ROUGH;
-        for (bool look = smooth_enough; look; look = false) {
+        WHEN (smooth_enough) {
             Hit hit;
             Ray ray = Ray(ray_origin(s.point, r), 0.0, r, INFINITY);
             result.rgb = trace_radiance(ray, footprint(p.hit.t), frame.orthographic == 1u ? 0.0 : frame.pixel_angle, hit);

@@ -43,7 +43,7 @@ void main() {
     for (uint i = frame.light_first; i < frame.light_end; i++) {
         LightSample l = light_at(lights[i], s.point.position);
         vec3 visibility = vec3(0.0);
-        for (bool lit = arrives(l) && faces(s, l.dir); lit; lit = false) visibility = visibility_of(from, l);
+        WHEN (arrives(l) && faces(s, l.dir)) visibility = visibility_of(from, l);
         imageStore(out_visibility, ivec3(px, i), vec4(visibility, 1.0));
     }
 }
