@@ -141,6 +141,12 @@ def sphere(centre, radius, o, d, t_min):  # type: ignore[no-untyped-def]
     return t >= t_min, t
 
 
+@njit
+def volume(ax, ay, az, bx, by, bz, cx, cy, cz):  # type: ignore[no-untyped-def]
+    """(a x b) . c"""
+    return (ay * bz - az * by) * cx + (az * bx - ax * bz) * cy + (ax * by - ay * bx) * cz
+
+
 @kernel(
     types.void(
         types.float64[:, ::1], types.float64[:, ::1], types.float64[:, ::1], types.float64[::1], types.float64[::1],
@@ -148,7 +154,8 @@ def sphere(centre, radius, o, d, t_min):  # type: ignore[no-untyped-def]
     )
 )  # fmt: skip
 def _brute_force(vertices, origins, directions, t_min, t_max, any_hit, first, last, t, triangle, bary):  # type: ignore[no-untyped-def]
-    # Signed volumes of the ray and each edge: another arithmetic than woop's, so that the two can check each other.
+    # Pluecker form with sums and differences of vertices (Embree's robust test): well conditioned far away, tight at
+    # edges, and another arithmetic than woop's, so that the two can check each other.
     for r in range(first, last):
         ox, oy, oz = origins[r, 0], origins[r, 1], origins[r, 2]
         dx, dy, dz = directions[r, 0], directions[r, 1], directions[r, 2]
@@ -157,9 +164,9 @@ def _brute_force(vertices, origins, directions, t_min, t_max, any_hit, first, la
             ax, ay, az = vertices[i, 0] - ox, vertices[i, 1] - oy, vertices[i, 2] - oz
             bx, by, bz = vertices[i, 3] - ox, vertices[i, 4] - oy, vertices[i, 5] - oz
             cx, cy, cz = vertices[i, 6] - ox, vertices[i, 7] - oy, vertices[i, 8] - oz
-            a = dx * (by * cz - bz * cy) + dy * (bz * cx - bx * cz) + dz * (bx * cy - by * cx)
-            b = dx * (cy * az - cz * ay) + dy * (cz * ax - cx * az) + dz * (cx * ay - cy * ax)
-            c = dx * (ay * bz - az * by) + dy * (az * bx - ax * bz) + dz * (ax * by - ay * bx)
+            a = volume(bx + cx, by + cy, bz + cz, cx - bx, cy - by, cz - bz, dx, dy, dz)
+            b = volume(cx + ax, cy + ay, cz + az, ax - cx, ay - cy, az - cz, dx, dy, dz)
+            c = volume(ax + bx, ay + by, az + bz, bx - ax, by - ay, bz - az, dx, dy, dz)
             det = a + b + c
             if (min(a, b, c) < 0 and max(a, b, c) > 0) or det == 0:
                 continue
@@ -264,7 +271,7 @@ def _rays(origins: Any, directions: Any, t_min: Any, t_max: Any, precision: type
     """Rays as contiguous arrays of one precision: (R, 3), (R, 3), (R,), (R,); single values stand for all rays."""
     directions = np.array(directions, precision).reshape(-1, 3)
     count = len(directions)
-    rays: list[NDArray[Any]] = [np.array(np.broadcast_to(origins, (count, 3)), precision), directions]
+    rays: list[NDArray[Any]] = [np.array(np.broadcast_to(origins, (count, 3)), precision, order="C"), directions]
     return rays + [np.array(np.broadcast_to(end, (count,)), precision) for end in (t_min, t_max)]
 
 

@@ -91,7 +91,7 @@ def grow_small(fragments: U16, grid_step: F32, max_leaf: int = 4) -> Grown:
             before = half_areas(np.maximum.accumulate(ordered, axis=1), step)[:, :-1]
             behind = half_areas(np.maximum.accumulate(ordered[:, ::-1], axis=1), step)[:, -2::-1]
             count = np.arange(1, n)
-            costs = before * count + behind * (n - count)
+            costs = before * count + behind * (n - count) + 1e-6 * area * abs(2 * count - n)  # of equals, the middle
             axis, left = divmod(int(np.argmin(costs)), n - 1)
             best, left = area + float(costs[axis, left]), left + 1
             if level >= MEDIAN_DEPTH:

@@ -1,0 +1,324 @@
+"""Trees: validity over shapes that break builders, queries against brute force, cost, packing, instances, the cache."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bvh_shapes import SHAPES, Triangles, axis_rays, chain, progression, rays, soup
+
+from glhybrid import bvh, reference
+from glhybrid.bvh import Blas, blas, build_blas, build_tlas, cache, load_or_build, pack
+from glhybrid.bvh.fragments import LEAF, MEDIAN_DEPTH
+from glhybrid.errors import GeometryError
+
+
+def same(a: Blas, b: Blas) -> bool:
+    arrays = ("nodes", "slots", "grid_min", "grid_step", "bounds")
+    return all(np.array_equal(getattr(a, n), getattr(b, n)) for n in arrays) and (a.depth, a.sah_cost) == (
+        b.depth,
+        b.sah_cost,
+    )
+
+
+@pytest.mark.parametrize("builder", ["numpy", "numba"])
+@pytest.mark.parametrize("seed", [1])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_tree_is_valid_and_finds_what_brute_force_finds(
+    shape: str, seed: int, builder: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    triangles = SHAPES[shape](seed)
+    if builder == "numpy" and len(triangles) > 4000:
+        pytest.skip("NumPy builds small trees only")
+    monkeypatch.setattr(blas, "SMALL", len(triangles) if builder == "numpy" else 0)
+    tree = build_blas(triangles)
+    tree.validate()
+    assert sorted(tree.slots[:, 3]) == list(range(len(triangles)))
+    assert np.array_equal(tree.bounds, [triangles.min((0, 1)), triangles.max((0, 1))])
+
+    origins, directions = axis_rays() if shape == "lattice" else rays(triangles, 600, seed)
+    want = reference.closest_hit(triangles, origins, directions)
+    got = reference.traverse(tree, origins, directions)
+    assert np.array_equal(got.hit, want.hit)
+    np.testing.assert_allclose(got.t[want.hit], want.t[want.hit], rtol=1e-9)
+    other = got.triangle != want.triangle  # only where two are equally far
+    np.testing.assert_allclose(got.t[other & want.hit], want.t[other & want.hit], rtol=1e-12)
+    assert np.array_equal(reference.traverse(tree, origins, directions, any_hit=True).hit, want.hit)
+
+
+@pytest.mark.parametrize("shape", ["soup", "needles", "stadium", "lattice", "far", "sphere"])
+def test_boxes_hold_in_float32(shape: str) -> None:
+    """The shader's arithmetic finds in the tree what it finds when every triangle is tried.
+
+    Tried one by one, triangles smaller than an ulp of their distance are hit by rays that pass far off: their edge
+    functions are noise. Only there may the tree, whose boxes such rays miss, find less; it is then right.
+    """
+    triangles = SHAPES[shape](2)
+    origins, directions = axis_rays() if shape == "lattice" else rays(triangles, 3000, 3)
+    tree = build_blas(triangles)
+    want = reference.traverse(
+        Blas(**{**vars(tree), **_flat_list(triangles)}), origins, directions, precision=np.float32
+    )
+    got = reference.traverse(tree, origins, directions, precision=np.float32)
+    true = reference.traverse(tree, origins, directions)
+    assert true.hit.sum() > 1000
+    noise = want.hit & ~true.hit if shape in ("stadium", "far") else np.zeros(len(origins), bool)
+    assert np.array_equal(got.hit[~noise], want.hit[~noise])
+    assert np.array_equal(got.t[~noise], want.t[~noise])
+    assert np.array_equal(got.triangle[~noise], want.triangle[~noise])
+
+
+def _flat_list(triangles: Triangles) -> dict[str, object]:
+    """A chain of nodes whose boxes are all the whole grid: no triangle can be culled."""
+    slots = np.zeros((len(triangles), 3, 4), np.uint32)
+    slots[:, :, :3] = triangles.view(np.uint32)
+    slots[:, 0, 3] = np.arange(len(triangles))
+    groups = [(i, min(4, len(triangles) - i)) for i in range(0, len(triangles), 4)]
+    whole = [0xFFFF0000] * 3
+    nodes = [[*whole, LEAF | first << 4 | count, *whole, i + 1] for i, (first, count) in enumerate(groups)]
+    nodes[-1][7] = LEAF
+    wide = np.float32(max(1.0, float(np.abs(triangles).max())) * 4)
+    grid = {"grid_min": np.full(3, -wide, np.float32), "grid_step": np.full(3, 2 * wide / 65535, np.float32)}
+    return {"nodes": np.array(nodes, np.uint32), "slots": slots.reshape(-1, 12), **grid}
+
+
+@pytest.mark.parametrize("name", ["progression", "chain"])
+def test_depth_is_bounded(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    triangles = progression() if name == "progression" else chain(900)
+    for small in (len(triangles), 0):
+        monkeypatch.setattr(blas, "SMALL", small)
+        assert build_blas(triangles).depth <= 24
+    from glhybrid.bvh import build
+
+    monkeypatch.setattr(build, "MEDIAN_DEPTH", 3)  # from there on, halves
+    tree = build_blas(triangles)
+    tree.validate()
+    assert tree.depth <= 3 + np.ceil(np.log2(len(triangles)))
+
+
+@pytest.mark.parametrize("seed", [3])
+def test_cost_is_that_of_a_textbook_build(seed: int) -> None:
+    for triangles in (soup(100_000, seed, 0.004), SHAPES["sphere"](seed)):
+        cost, _ = reference.binned_sah(triangles)
+        assert build_blas(triangles).sah_cost <= 1.03 * cost
+
+
+def test_stated_cost_is_that_of_the_stored_boxes() -> None:
+    for count in (40, 5000):
+        tree = build_blas(soup(count, 5))
+        children = tree.nodes.reshape(-1, 2, 4).astype(np.int64)
+        side = ((children[..., :3] >> 16) - (children[..., :3] & 0xFFFF)) * tree.grid_step.astype(np.float64)
+        area = side[..., 0] * side[..., 1] + side[..., 1] * side[..., 2] + side[..., 2] * side[..., 0]
+        refs = children[..., 3]
+        low, high = (children[0, :, :3] & 0xFFFF).min(0), (children[0, :, :3] >> 16).max(0)
+        x, y, z = (high - low) * tree.grid_step.astype(np.float64)
+        cost = 1 + (area * np.where(refs < LEAF, 1, refs & 15)).sum() / (x * y + y * z + z * x)
+        assert tree.sah_cost == pytest.approx(cost, rel=1e-5)
+
+
+def test_same_tree_whatever_the_threads_and_the_flags_of_the_input() -> None:
+    triangles = soup(60_000, 7, 0.01)
+    first = build_blas(triangles, threads=1)
+    triangles.flags.writeable = False
+    for threads in (2, 3):
+        assert same(first, build_blas(triangles, threads=threads))
+
+
+def test_spheres_and_ids_reach_the_slots() -> None:
+    rng = np.random.default_rng(11)
+    for count in (20, 3000):
+        triangles, balls = soup(count, 1), np.concatenate([rng.random((50, 3)), rng.random((50, 1)) * 0.1], 1)
+        tree = build_blas(
+            triangles, np.arange(count, dtype=np.uint32) + 100, np.full(count, 7, np.uint32),
+            balls.astype(np.float32), np.arange(50, dtype=np.uint32) + 90_000, np.full(50, 9, np.uint32),
+        )  # fmt: skip
+        tree.validate()
+        assert sorted(tree.slots[:, 3]) == [*range(100, 100 + count), *range(90_000, 90_050)]
+        ball = tree.slots[:, 11] == blas.SPHERE
+        assert ball.sum() == 50 and (tree.slots[ball, 7] == 9).all() and (tree.slots[~ball, 7] == 7).all()
+        origin = np.array([5.0, 0.3, 0.2])
+        direction = balls[:, :3] - origin
+        hits = reference.traverse(tree, origin, direction)
+        alone = reference.traverse(build_blas(np.zeros((0, 3, 3)), spheres=balls), origin, direction)
+        assert alone.hit.all() and (hits.t <= alone.t).all()
+        miss = np.linalg.norm(origin + alone.t[:, None] * direction - balls[alone.triangle, :3], axis=1)
+        np.testing.assert_allclose(miss, balls[alone.triangle, 3], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: build_blas(np.zeros((0, 3, 3))), "no triangle"),
+        (lambda: build_blas(np.full((2, 3, 3), np.nan), np.array([4, 5])), "triangle 4: coordinate nan"),
+        (lambda: build_blas(np.array([[[0, 0, 0], [1, 0, 0], [0, np.inf, 0]]])), "triangle 0: coordinate inf"),
+        (lambda: build_blas(soup(2000, 1) * np.float32(1e30)), "past 1e\\+18"),
+        (lambda: build_blas(soup(2, 1), spheres=np.array([[0, 0, 0, np.nan]])), "sphere 0"),
+        (lambda: build_blas(soup(2, 1), np.zeros(3)), "triangle: ids of shape"),
+        (lambda: build_blas(soup(2, 1), max_leaf=5), "max_leaf 5"),
+        (lambda: build_tlas(np.zeros((0, 2, 3))), "no instance"),
+        (lambda: build_tlas(np.array([[[0, 0, 0], [1, 1, 1]], [[2, 0, 0], [1, 1, 1]]])), "instance 1"),
+        (lambda: build_tlas(np.array([[[0, 0, 0], [1, np.nan, 1]]])), "instance 0"),
+    ],
+)
+def test_bad_input_is_refused_by_name(make: Callable[[], object], says: str) -> None:
+    with pytest.raises(GeometryError, match=says):
+        make()
+
+
+def test_validate_sees_damage() -> None:
+    tree = build_blas(soup(3000, 4))
+
+    def broken(change: Callable[[np.ndarray, np.ndarray], None]) -> Blas:
+        nodes, slots = tree.nodes.copy(), tree.slots.copy()
+        change(nodes, slots)
+        return Blas(**{**vars(tree), "nodes": nodes, "slots": slots})
+
+    inner = int(np.flatnonzero(tree.nodes[:, 3] < LEAF)[5])
+
+    def set_node(row: int, column: int, value: int) -> Callable[[np.ndarray, np.ndarray], None]:
+        return lambda nodes, slots: nodes.__setitem__((row, column), value)
+
+    for change in (
+        set_node(inner, 3, 0),
+        set_node(inner, 3, 1 << 30),
+        set_node(inner, 3, LEAF | 1),
+        set_node(inner, 3, LEAF | 2999 << 4 | 4),
+        set_node(int(tree.nodes[inner, 3]), 0, 0xFFFF0000),
+        set_node(len(tree.nodes) - 1, 0, 0x00010001),
+        lambda nodes, slots: slots.__setitem__((17, 0), np.float32(9).view(np.uint32)),
+    ):
+        with pytest.raises(GeometryError, match="tree: "):
+            broken(change).validate()
+    with pytest.raises(GeometryError, match="depth"):
+        Blas(**{**vars(tree), "depth": tree.depth - 1}).validate()
+
+
+def test_packed_trees_are_the_same_trees() -> None:
+    trees = [build_blas(soup(n, n)) for n in (1, 300, 5000, 3)]
+    nodes, slots, roots = pack(trees)
+    assert roots.tolist() == np.cumsum([0] + [len(t.nodes) for t in trees[:-1]]).tolist()
+    first = 0
+    for tree, root in zip(trees, roots.tolist(), strict=True):
+        part = nodes[root : root + len(tree.nodes)].copy()
+        refs = part[:, 3::4]
+        refs -= np.where(refs < LEAF, np.uint32(root), np.uint32(first << 4))
+        assert np.array_equal(part, tree.nodes)
+        assert np.array_equal(slots[first : first + len(tree.slots)], tree.slots)
+        first += len(tree.slots)
+    assert [a.shape for a in pack([])] == [(0, 8), (0, 12), (0,)]
+
+
+def test_pack_refuses_what_a_reference_cannot_hold(monkeypatch: pytest.MonkeyPatch) -> None:
+    trees = [build_blas(soup(n, n)) for n in (10, 30)]
+    monkeypatch.setattr(blas, "MAX_SLOTS", 39)
+    with pytest.raises(GeometryError, match=r"40 slots.*39"):
+        pack(trees)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 300, 20_000])
+def test_instances_are_leaves_of_the_top_tree(count: int) -> None:
+    rng = np.random.default_rng(count)
+    low = rng.random((count, 3)) * 100 - 1e4
+    tree = build_tlas(np.stack([low, low + rng.random((count, 3)) * (rng.random((count, 1)) < 0.9)], 1))
+    tree.validate()
+    refs = tree.nodes[:, 3::4]
+    leaves = refs[(refs >= LEAF) & (refs & 15 > 0)]
+    assert sorted((leaves & 0x7FFFFFFF) >> 4) == list(range(count))
+    assert tree.depth <= MEDIAN_DEPTH
+
+
+def test_warm_up_compiles_once() -> None:
+    assert bvh.warm_up() >= 0
+    assert bvh.warm_up() < 1
+
+
+# The cache ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def kept(tmp_path: Path) -> tuple[Triangles, Blas, Path]:
+    triangles = soup(3000, 21)
+    tree = load_or_build(triangles, folder=tmp_path)
+    (path,) = tmp_path.glob("*.blas")
+    return triangles, tree, path
+
+
+def test_cache_gives_the_same_tree(kept: tuple[Triangles, Blas, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    triangles, tree, path = kept
+    monkeypatch.setattr(cache, "build_blas", lambda *_, **__: pytest.fail("built again"))
+    again = load_or_build(triangles, folder=path.parent)
+    assert same(tree, again)
+    assert again.bounds.dtype == np.float64 and again.grid_min.dtype == np.float32
+    again.validate()
+
+
+def test_cache_tells_inputs_apart(kept: tuple[Triangles, Blas, Path]) -> None:
+    triangles, tree, path = kept
+    moved = triangles.copy()
+    moved[1234, 1, 2] = np.nextafter(moved[1234, 1, 2], np.float32(9))
+    geometry = np.zeros(3000, np.uint32)
+    geometry[5] = 1
+    for other in (
+        load_or_build(moved, folder=path.parent),
+        load_or_build(triangles, geometry=geometry, folder=path.parent),
+        load_or_build(triangles, max_leaf=2, folder=path.parent),
+        load_or_build(triangles, spheres=np.array([[0, 0, 0, 1]], np.float32), folder=path.parent),
+    ):
+        assert not same(tree, other)
+    assert len(list(path.parent.glob("*.blas"))) == 5
+
+
+@pytest.mark.parametrize("damage", ["empty", "cut", "longer", "header", "node", "slot", "foreign", "other key", "old"])
+def test_damaged_files_are_rebuilt(damage: str, kept: tuple[Triangles, Blas, Path]) -> None:
+    triangles, tree, path = kept
+    data = bytearray(path.read_bytes())
+    if damage == "empty":
+        data.clear()
+    elif damage == "cut":
+        del data[-1000:]
+    elif damage == "longer":
+        data += bytes(4)
+    elif damage == "foreign":
+        data[:] = b"\x93NUMPY" + bytes(len(data) - 6)
+    elif damage == "old":
+        data[:] = data.replace(b'"version": ', b'"version": 9')
+    elif damage == "other key":
+        load_or_build(triangles, max_leaf=2, folder=path.parent)
+        (other,) = set(path.parent.glob("*.blas")) - {path}
+        data[:] = other.read_bytes()
+    else:
+        data[{"header": 40, "node": -48 * 3000 - 400, "slot": -500}[damage]] ^= 0x10
+    path.write_bytes(data)
+    assert cache.read(path, path.stem, 0.0) is None
+    assert same(tree, load_or_build(triangles, folder=path.parent))
+    assert cache.read(path, path.stem, 0.0) is not None  # and is whole again
+
+
+def test_cache_folder_that_cannot_be_used_is_no_error(tmp_path: Path, kept: tuple[Triangles, Blas, Path]) -> None:
+    triangles, tree, _ = kept
+    (tmp_path / "file").write_text("not a folder")
+    assert same(tree, load_or_build(triangles, folder=tmp_path / "file"))
+    assert same(tree, load_or_build(triangles, folder=Path("/proc/nowhere")))
+
+
+def test_cache_is_bounded(tmp_path: Path) -> None:
+    import os
+
+    for i in range(5):
+        (tmp_path / f"{i}.blas").write_bytes(bytes(100))
+        os.utime(tmp_path / f"{i}.blas", (i, i))
+    (tmp_path / "dead.part").write_bytes(b"")
+    os.utime(tmp_path / "dead.part", (0, 0))
+    (tmp_path / "notes.txt").write_text("not ours")
+    cache.trim(tmp_path, keep=tmp_path / "0.blas", limit=300)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["0.blas", "3.blas", "4.blas", "notes.txt"]
+
+
+def test_cache_can_be_turned_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GLHYBRID_CACHE", "off")
+    monkeypatch.setattr(cache, "write", lambda *_: pytest.fail("kept"))
+    load_or_build(soup(2000, 1))
+    monkeypatch.undo()
+    monkeypatch.setenv("GLHYBRID_CACHE", str(tmp_path))
+    load_or_build(soup(2000, 1))
+    assert list((tmp_path / "bvh").glob("*.blas"))
