@@ -58,7 +58,7 @@ def load_gltf(path: Path, *, strict: bool = False, smooth: bool = False, allow_o
         report.warn("there is nothing to draw: no triangles in the scene")
     return Scene(
         name=path.stem,
-        meshes=tuple(contents.meshes),
+        meshes=tuple(contents.reader.meshes),
         instances=tuple(contents.instances),
         materials=built,
         lights=tuple(contents.lights),
@@ -77,16 +77,15 @@ class _Contents:
 
     def __init__(self, doc: Document, accessors: AccessorReader, hierarchy: Hierarchy, reader: MeshReader) -> None:
         self.doc, self.accessors, self.hierarchy = doc, accessors, hierarchy
-        self.meshes: list[Mesh] = []
         self.instances: list[Instance] = []
         self.cameras: list[Camera] = []
         self.lights: list[Light] = []
         self.skins: tuple[Skin, ...] = read_skins(doc, accessors)
         self.target_counts: dict[int, int] = {}  # by node
-        self._slots: dict[int, int] = {}  # mesh of the file -> mesh of the scene, -1 = nothing to draw
-        self._read(reader)
+        self.reader = reader
+        self._read()
 
-    def _read(self, reader: MeshReader) -> None:
+    def _read(self) -> None:
         doc, items = self.doc, self.doc.items("nodes")
         drawn = self.hierarchy.drawn
         placed = dict.fromkeys(m for n in drawn if (m := items[n].index("mesh", "meshes")) is not None)
@@ -96,26 +95,24 @@ class _Contents:
             placed = dict.fromkeys(range(doc.count("meshes")))
         for index, mesh in enumerate(doc.items("meshes")):
             if index in placed:
-                self._order_images(reader, mesh)
+                self._order_images(mesh)
             elif doc.count("scenes") < 2:  # else one of the others may show it, and they are reported
                 mesh.warn("not loaded: no node of the scene shows it")
         for index in placed:
-            mesh_read = reader.read(index)
-            self._slots[index] = len(self.meshes) if mesh_read.primitives else -1
-            self.meshes += [mesh_read] if mesh_read.primitives else []
-            if library and mesh_read.primitives:
-                self.instances.append(Instance(self._slots[index], np.eye(4), mesh_read.name))
+            use = self.reader.use(index)
+            if library and use.slot >= 0:
+                self.instances.append(Instance(use.slot, np.eye(4), use.name, use.materials))
         lights = self._light_items()
         for node in drawn:
             self._place(node, items[node], lights)
         for index, item in enumerate(items):
             self._check_weights(index, item)
 
-    def _order_images(self, reader: MeshReader, mesh: Item) -> None:
+    def _order_images(self, mesh: Item) -> None:
         """Starts to decode what a mesh's materials need, before any geometry is read."""
         for primitive in mesh.children("primitives", "primitive"):
             if primitive.integer("mode", 4) >= 4:
-                reader.materials.use(primitive.index("material", "materials"))
+                self.reader.materials.use(primitive.index("material", "materials"))
 
     def _light_items(self) -> list[Item]:
         extension = self.doc.root.extension("KHR_lights_punctual")
@@ -131,19 +128,18 @@ class _Contents:
                 raise extension.fail(f"light {show(number)} does not exist: the file has {len(lights)}")
             self.lights.append(read_light(lights[number], node, name, world))
         mesh = item.index("mesh", "meshes")
-        if mesh is None or self._slots[mesh] < 0:
+        if mesh is None or (use := self.reader.use(mesh)).slot < 0:
             return
-        slot = self._slots[mesh]
-        skin = self._skin(item, self.meshes[slot])
+        skin = self._skin(item, self.reader.meshes[use.slot])
         matrices = instance_matrices(item, self.accessors, world)
         if skin >= 0:  # 3.7.3.3: only the joints place a skinned mesh, the node's transform has no say
             matrices = np.eye(4)[None]
         if matrices is None:
             matrices = world[None]
-        label = name or self.meshes[slot].name
+        label = name or use.name
         for i, matrix in enumerate(matrices):
             number_label = f"{label}[{i}]" if len(matrices) > 1 else label
-            self.instances.append(Instance(slot, matrix, number_label, node=node, skin=skin))
+            self.instances.append(Instance(use.slot, matrix, number_label, use.materials, node, skin))
 
     def _skin(self, item: Item, mesh: Mesh) -> int:
         skin: int | None = item.index("skin", "skins")

@@ -83,7 +83,8 @@ class Materials:
         return self._slots[key]
 
     def parsed(self, index: int | None) -> ParsedMaterial | None:
-        return None if index is None else self._parsed[index]
+        """A material that was asked for; None for the default one and those nobody asked for."""
+        return None if index is None else self._parsed.get(index)
 
     def build(self) -> tuple[Material, ...]:
         """All used materials; raises LoadError where an image cannot be decoded."""

@@ -1,7 +1,8 @@
 """Mesh primitives of a glTF asset to Triangles."""
 
+import json
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,15 +20,58 @@ DRAWN = re.compile("POSITION|NORMAL|TANGENT|TEXCOORD_[01]|COLOR_0|JOINTS_[01]|WE
 UNIT_TOLERANCE = 1e-4  # squared length of a normal; float32 gives 1e-7, 8-bit quantised ones 1e-2
 
 
+@dataclass(frozen=True)
+class MeshUse:
+    """A mesh of the file as the scene has it. slot: its index in MeshReader.meshes, -1 = nothing to draw. materials:
+    one for each primitive, None = the mesh's own."""
+
+    slot: int
+    materials: tuple[int, ...] | None
+    name: str
+
+
 class MeshReader:
-    """Reads the meshes of a document. smooth: make smooth instead of flat normals where a file has none."""
+    """Reads the meshes of a document. smooth: make smooth instead of flat normals where a file has none.
+
+    Meshes that differ in nothing but name and materials, which is how glTF writes one shape in many materials, become
+    one mesh: the acceleration structure is built once and instances bring their materials.
+    """
 
     def __init__(self, doc: Document, accessors: AccessorReader, materials: Materials, smooth: bool = False) -> None:
         self.doc, self.accessors, self.materials, self.smooth = doc, accessors, materials, smooth
+        self.meshes: list[Mesh] = []
+        self._uses: dict[int, MeshUse] = {}
+        self._shapes: dict[str, tuple[int, list[int]]] = {}  # shape -> slot, numbers of the primitives drawn
 
-    def read(self, index: int) -> Mesh:
-        item = self.doc.items("meshes")[index]
+    def use(self, index: int) -> MeshUse:
+        if index not in self._uses:
+            self._uses[index] = self._use(self.doc.items("meshes")[index])
+        return self._uses[index]
+
+    def _use(self, item: Item) -> MeshUse:
         primitives = item.children("primitives", "primitive")
+        used = [p.index("material", "materials") for p in primitives]
+        follow = [m.tangent_texture if (m := self.materials.parsed(u)) else None for u in used]
+        shape = json.dumps([
+            item.data.get("weights"),
+            [{k: v for k, v in p.data.items() if k != "material"} for p in primitives],
+            [None if f is None else (f.uv_set, f.transform) for f in follow],
+        ], sort_keys=True)  # fmt: skip
+        if shape not in self._shapes:
+            mesh, drawn = self._read(item, primitives)
+            self._shapes[shape] = len(self.meshes) if drawn else -1, drawn
+            self.meshes += [mesh] if drawn else []
+        slot, drawn = self._shapes[shape]
+        if slot < 0:
+            return MeshUse(-1, None, item.name)
+        ours = tuple(self.materials.use(used[n]) for n in drawn)
+        pieces = [p for p in self.meshes[slot].primitives if isinstance(p, Triangles)]
+        for number, piece in zip(drawn, pieces, strict=True):
+            self._check_uv(primitives[number], piece, self.materials.parsed(used[number]))
+        return MeshUse(slot, None if ours == tuple(p.material for p in pieces) else ours, item.name)
+
+    def _read(self, item: Item, primitives: list[Item]) -> tuple[Mesh, list[int]]:
+        """The mesh and the numbers of the primitives that are drawn."""
         targets = {len(p.children("targets", "target")) for p in primitives}
         if len(targets) > 1:
             raise item.fail(f"its primitives have {' and '.join(map(str, sorted(targets)))} morph targets, must agree")
@@ -35,8 +79,8 @@ class MeshReader:
         weights = item.numbers("weights", None, (0.0,) * target_count)
         if len(weights) != target_count:
             raise item.fail(f"has {len(weights)} morph weights, must have {target_count}, one for each target")
-        drawn = [self._primitive(p) for p in primitives]
-        return Mesh(item.name, tuple(t for t in drawn if t is not None), weights)
+        drawn = {n: made for n, p in enumerate(primitives) if (made := self._primitive(p)) is not None}
+        return Mesh(item.name, tuple(drawn.values()), weights), list(drawn)
 
     def _primitive(self, item: Item) -> Triangles | None:
         mode = item.integer("mode", TRIANGLES, high=len(MODES) - 1)
@@ -61,12 +105,11 @@ class MeshReader:
         for name in attributes.data:
             if not DRAWN.fullmatch(name):
                 item.warn(f"{name} is not used")
-        material_index = item.index("material", "materials")
-        slot, material = self.materials.use(material_index), self.materials.parsed(material_index)
-        made = self._triangles(attributes, position, index, slot, item.children("targets", "target"))
-        if material is not None:
-            self._check_uv(item, made, material)
-        return self._with_tangents(made, item, attributes, material)
+        material = item.index("material", "materials")
+        made = self._triangles(
+            attributes, position, index, self.materials.use(material), item.children("targets", "target")
+        )
+        return self._with_tangents(made, item, attributes, self.materials.parsed(material))
 
     def _triangles(self, attributes: Item, position: F32, index: U32, material: int, targets: list[Item]) -> Triangles:
         """Everything but tangents."""
@@ -136,7 +179,9 @@ class MeshReader:
         order = (i, i + 1 + odd, i + 2 - odd) if mode == STRIP else (i + 1, i + 2, np.zeros_like(i))  # 3.7.2.1
         return corner[np.stack(order, axis=1)].astype(np.uint32)
 
-    def _check_uv(self, item: Item, triangles: Triangles, material: ParsedMaterial) -> None:
+    def _check_uv(self, item: Item, triangles: Triangles, material: ParsedMaterial | None) -> None:
+        if material is None:
+            return
         for uv_set in sorted({ref.uv_set for ref in material.textures.values()}):
             if (triangles.uv0, triangles.uv1)[uv_set] is None:
                 item.warn(f"has no TEXCOORD_{uv_set}, which its textures read: they show one texel")
