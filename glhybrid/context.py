@@ -26,6 +26,7 @@ from glhybrid.osmesa import OsmesaContext
 log = logging.getLogger("glhybrid")
 
 REQUIRED_VERSION = (4, 3)
+_BETTER_VERSIONS = ((4, 6), (4, 5))  # Mesa gives its best whatever was asked for, NVIDIA gives just that
 DEVICE_NAMES = ("auto", "gpu", "software", "egl:N", "cuda:N", "osmesa")
 _SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "swr (", "software rasterizer", "swiftshader", "basic render")
 _ELSEWHERE = "use --device auto, or see `glhybrid doctor`"
@@ -178,10 +179,14 @@ def open_context(device: str = "auto") -> Context:
 
 def open_egl(device: EglDevice) -> Context:
     """A context on one EGL device. Raises DeviceError, without a remedy."""
-    try:
-        native = EglContext(device, REQUIRED_VERSION)
-    except DeviceError as error:
-        raise DeviceError(_too_old(device) or str(error)) from None
+    for version in (*_BETTER_VERSIONS, REQUIRED_VERSION):
+        try:
+            native = EglContext(device, version)
+        except DeviceError as error:
+            if version == REQUIRED_VERSION:
+                raise DeviceError(_too_old(device) or str(error)) from None
+            continue
+        break
     return Context(native, "egl", device)
 
 
@@ -194,7 +199,7 @@ def _auto() -> Context:
             log.warning("falling back to software rendering: %s", error)
     context = _software()
     for problem in host.problems():
-        if problem.hides_gpu:
+        if problem.about == "gpu":
             log.warning("the GPU is not used: %s", problem)
     return context
 
@@ -204,7 +209,7 @@ def _software() -> Context:
     if not candidates and host.has_egl() and has_surfaceless():
         candidates = [SURFACELESS]  # a Mesa that does not list its software device
     try:
-        return _first(candidates, "no software renderer can be used", _must_be_software, f"to mend: {host.MESA_FIX}")
+        return _first(candidates, "no software renderer can be used", _must_be_software, "software")
     except DeviceError as error:
         try:
             return Context(OsmesaContext(REQUIRED_VERSION), "osmesa")
@@ -228,18 +233,19 @@ def _numbered(kind: str, number: int) -> EglDevice:
     match = [d for d in found if (d.index if kind == "egl" else d.cuda) == number]
     if match:
         return match[0]
-    known = ", ".join(str(d) for d in found) or "none"
     what = "EGL device" if kind == "egl" else "EGL device with CUDA ordinal"
-    raise DeviceError(f"no {what} {number}; this machine has: {known}{_remedy()}")
+    if found:
+        raise DeviceError(f"no {what} {number}; this machine has: {', '.join(str(d) for d in found)}; use one of these")
+    raise DeviceError(f"no {what} {number}; this machine has none{_remedy('gpu')}")
 
 
 def _first(
-    candidates: Iterable[EglDevice], failure: str, objection: Callable[[Device], str], advice: str = _ELSEWHERE
+    candidates: Iterable[EglDevice],
+    failure: str,
+    objection: Callable[[Device], str],
+    kind: Literal["gpu", "software"] = "gpu",
 ) -> Context:
-    """The first candidate that opens and to which there is no objection; otherwise one error with every reason.
-
-    advice: what to do where the machine shows no problem of its own.
-    """
+    """The first candidate that opens and to which there is no objection; otherwise one error with every reason."""
     reasons: list[str] = []
     for candidate in candidates:
         try:
@@ -254,7 +260,7 @@ def _first(
         reasons.append(f"{candidate}: {reason}")
     if not reasons:
         reasons.append("EGL lists none")
-    raise DeviceError(f"{failure}: {'; '.join(reasons)}{_remedy(advice)}")
+    raise DeviceError(f"{failure}: {'; '.join(reasons)}{_remedy(kind)}")
 
 
 def _must_be_hardware(device: Device) -> str:
@@ -265,9 +271,12 @@ def _must_be_software(device: Device) -> str:
     return "" if device.software else f"it is a GPU, {device.renderer}"
 
 
-def _remedy(advice: str = _ELSEWHERE) -> str:
-    found = host.problems()
-    return f". {found[0].what}; to mend: {found[0].fix}" if found else f"; {advice}"
+def _remedy(kind: Literal["gpu", "software"]) -> str:
+    """What mends it: the first problem of this machine that keeps such a device away, else what to try instead."""
+    for problem in host.problems():
+        if problem.about in ("all", kind):
+            return f". {problem.what}; to mend: {problem.fix}"
+    return f"; {_ELSEWHERE}" if kind == "gpu" else f"; to mend: {host.MESA_FIX}"
 
 
 def _too_old(device: EglDevice) -> str:

@@ -11,6 +11,7 @@ import sys
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
+from typing import Literal
 
 from glhybrid.errors import DeviceError
 
@@ -30,7 +31,7 @@ class Problem:
 
     what: str
     fix: str
-    hides_gpu: bool = False  # a GPU seems to be here that OpenGL does not reach
+    about: Literal["all", "gpu", "software"] = "all"  # which kind of device it keeps away
 
     def __str__(self) -> str:
         return f"{self.what}: {self.fix}"
@@ -70,7 +71,8 @@ def _add_mounted_vendors() -> None:
     if {"__EGL_VENDOR_LIBRARY_DIRS", "__EGL_VENDOR_LIBRARY_FILENAMES"} & os.environ.keys():
         return  # the user has decided
     mounted = [folder for folder in _MOUNTED_VENDOR_DIRS if Path(folder).is_dir()]
-    if mounted:
+    known = any("nvidia" in file.name for folder in _VENDOR_DIRS for file in Path(folder).glob("*.json"))
+    if mounted and not known:
         os.environ["__EGL_VENDOR_LIBRARY_DIRS"] = ":".join((*mounted, *_VENDOR_DIRS))
 
 
@@ -159,35 +161,39 @@ def find_osmesa() -> str | None:
 
 
 def problems(host: Host | None = None) -> list[Problem]:
-    """What keeps OpenGL or a GPU from being reached here, the most likely cause first."""
+    """What keeps OpenGL or a kind of device from being reached here, the most likely cause first."""
     host = host or look()
     found: list[Problem] = []
     if not host.libegl:
         found.append(Problem("libEGL.so.1 is missing", MESA_FIX))
     elif not host.egl_vendors:
         found.append(Problem("libEGL has no driver (no vendor file in " + ", ".join(_VENDOR_DIRS) + ")", MESA_FIX))
+    found += [_broken(library, host) for library in host.broken_vendors]
     if host.nvidia_driver and not host.nvidia_gl:
         where = f"this {host.container} container lacks" if host.container else "this machine lacks"
         fix = NVIDIA_FIX if host.container else f"apt-get install -y libnvidia-gl-{host.nvidia_driver.split('.')[0]}"
         caps = f" (NVIDIA_DRIVER_CAPABILITIES={host.nvidia_capabilities})" if host.nvidia_capabilities else ""
-        found.append(Problem(f"NVIDIA driver {host.nvidia_driver}, but {where} its OpenGL libraries{caps}", fix, True))
+        what = f"NVIDIA driver {host.nvidia_driver}, but {where} its OpenGL libraries{caps}"
+        found.append(Problem(what, fix, "gpu"))
     elif host.nvidia_gl and host.libegl and not any("nvidia" in v for v in host.egl_vendors):
         line = """echo '{"file_format_version":"1.0.0","ICD":{"library_path":"libEGL_nvidia.so.0"}}' """
         line += "> /usr/share/glvnd/egl_vendor.d/10_nvidia.json"
-        found.append(Problem("libEGL_nvidia.so.0 is here, but libEGL is not told of it", line, True))
+        found.append(Problem("libEGL_nvidia.so.0 is here, but libEGL is not told of it", line, "gpu"))
     if host.dri_denied:
         fix = f"usermod -aG render,video {os.environ.get('USER', '$USER')}, then log in again"
-        found.append(Problem(f"no right to open {', '.join(host.dri_denied)}", fix, True))
-    for library in host.broken_vendors:
-        if library.endswith(_UNREADABLE):
-            variable = next((v for v in host.environment if v.startswith("__EGL_VENDOR_LIBRARY")), "")
-            fix = f"unset {variable}" if variable else MESA_FIX
-            found.append(Problem(f"the EGL vendor file {library.removesuffix(_UNREADABLE)} cannot be read", fix))
-        else:
-            fix = MESA_FIX if "mesa" in library else f"ldconfig, or add the folder of {library} to LD_LIBRARY_PATH"
-            found.append(Problem(f"the EGL driver {library} is named in a vendor file, but cannot be opened", fix))
+        found.append(Problem(f"no right to open {', '.join(host.dri_denied)}", fix, "gpu"))
     if host.libegl and host.egl_vendors and not any("mesa" in v for v in host.egl_vendors):
-        found.append(Problem("Mesa, the software renderer, is not installed", MESA_FIX))
-    if os.environ.get("LIBGL_ALWAYS_SOFTWARE", "0") not in ("0", "", "false"):
-        found.append(Problem("LIBGL_ALWAYS_SOFTWARE forces software rendering", "unset LIBGL_ALWAYS_SOFTWARE", True))
+        found.append(Problem("Mesa, the software renderer, is not installed", MESA_FIX, "software"))
+    forced = host.environment.get("LIBGL_ALWAYS_SOFTWARE", "0") not in ("0", "", "false")
+    if forced and (host.dri_nodes or host.nvidia_gl):
+        found.append(Problem("LIBGL_ALWAYS_SOFTWARE forces software rendering", "unset LIBGL_ALWAYS_SOFTWARE", "gpu"))
     return found
+
+
+def _broken(library: str, host: Host) -> Problem:
+    if not library.endswith(_UNREADABLE):
+        fix = MESA_FIX if "mesa" in library else f"ldconfig, or add the folder of {library} to LD_LIBRARY_PATH"
+        return Problem(f"the EGL driver {library} is named in a vendor file, but cannot be opened", fix)
+    variable = next((v for v in host.environment if v.startswith("__EGL_VENDOR_LIBRARY")), "")
+    fix = f"unset {variable}" if variable else MESA_FIX
+    return Problem(f"the EGL vendor file {library.removesuffix(_UNREADABLE)} cannot be read", fix)

@@ -261,13 +261,18 @@ _HEALTHY = Host(
         ({"nvidia_driver": "550.54.15"}, "this machine lacks its OpenGL", "apt-get install -y libnvidia-gl-550"),
         ({"nvidia_gl": True}, "libEGL is not told of it", "10_nvidia.json"),
         ({"dri_denied": ("/dev/dri/renderD128",)}, "no right to open /dev/dri/renderD128", "usermod -aG render,video"),
+        (
+            {"environment": {"LIBGL_ALWAYS_SOFTWARE": "1"}, "dri_nodes": ("/dev/dri/card0",)},
+            "LIBGL_ALWAYS_SOFTWARE forces software",
+            "unset LIBGL_ALWAYS_SOFTWARE",
+        ),
+        ({"environment": {"LIBGL_ALWAYS_SOFTWARE": "1"}}, None, None),  # there is no GPU to miss
         ({"egl_vendors": ("libEGL_nvidia.so.0",)}, "Mesa, the software renderer, is not", host.MESA_FIX),
     ],
 )
 def test_problems_come_with_the_line_that_mends_them(
-    monkeypatch: pytest.MonkeyPatch, facts: dict[str, object], what: str | None, fix: str | None
+    facts: dict[str, object], what: str | None, fix: str | None
 ) -> None:
-    monkeypatch.delenv("LIBGL_ALWAYS_SOFTWARE", raising=False)
     found: list[Problem] = host.problems(replace(_HEALTHY, **facts))  # type: ignore[arg-type]
     if what is None:
         assert found == []
