@@ -89,5 +89,5 @@ def test_surfaces_are_in_range(frame: gh.Frame) -> None:
     assert frame["material_id"][hit].max() < scene["materials_total"]
     assert (frame["triangle_id"][hit] != AOVS["triangle_id"].miss).all()
     assert (frame["motion"] == 0).all()  # nothing moved
-    assert (frame["bvh_steps"][hit] > 0).mean() > 0.99  # the same pixels at edges
+    assert (frame["bvh_steps"][frame["visibility"].any(-1)] > 0).all()  # light was found to arrive by tracing
     assert (frame["radiance"] >= 0).all()
