@@ -15,11 +15,10 @@ vec3 environment_from_world(vec3 d) {
 }
 
 #if USE_ENVIRONMENT_MAP
-// Bilinear by hand: exact weights, columns wrap, rows clamp; texel centres at 0.5. The centre column looks along -Z.
+// Bilinear by hand: exact weights, columns wrap, rows clamp; texel centres at 0.5.
 vec3 environment_texels(vec3 d) {
     ivec2 size = textureSize(environment_map, 0);
-    vec2 uv = vec2(0.5 + atan(d.x, -d.z) / (2.0 * PI), acos(clamp(d.y, -1.0, 1.0)) / PI);
-    vec2 p = uv * vec2(size) - 0.5;
+    vec2 p = equirect(d) * vec2(size) - 0.5;
     ivec2 i = ivec2(floor(p));
     vec2 f = p - floor(p);
     int x0 = (i.x + size.x) % size.x, x1 = (i.x + 1) % size.x;

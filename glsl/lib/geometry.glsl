@@ -88,7 +88,7 @@ Point sphere_point(uvec4 tri, Ray ray, float t, Instance inst) {
     n_ws *= n_scale;
     // The quadratic's rounding grows with the radius, not with an edge: 2^-20 of it.
     vec3 object_err = 5.9604645e-8 * abs(centre) + 9.5367432e-7 * radius;
-    vec2 uv = vec2(atan(n_os.x, n_os.z) / (2.0 * PI) + 0.5, acos(clamp(n_os.y, -1.0, 1.0)) / PI);
+    vec2 uv = vec2(angle_of(n_os.x, n_os.z) / (2.0 * PI) + 0.5, angle_of(length(n_os.xz), n_os.y) / PI);
     return Point(p_ws, n_ws, spawn_offset(object_err, p_os, p_ws, n_os, n_ws, n_scale, inst), uv);
 }
 

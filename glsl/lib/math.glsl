@@ -6,6 +6,24 @@ float min3(vec3 v) { return min(v.x, min(v.y, v.z)); }
 float square(float x) { return x * x; }
 float luminance(vec3 rgb) { return dot(rgb, vec3(0.2126, 0.7152, 0.0722)); }   // Rec. 709
 
+// atan(y, x) to 2e-7 rad everywhere: drivers' own may be off by 2e-4 (Mesa's acos and atan), which is 3 % of a texel in
+// a sky of 1024 columns. Cephes' atanf: odd polynomial on [0, tan(pi / 8)].
+float angle_of(float y, float x) {
+    float hi = max(abs(x), abs(y)), lo = min(abs(x), abs(y));
+    float a = hi > 0.0 ? lo / hi : 0.0;
+    bool far = a > 0.41421356;
+    if (far) a = (a - 1.0) / (a + 1.0);
+    float z = a * a;
+    float angle = (((8.05374449538e-2 * z - 1.38776856032e-1) * z + 1.99777106478e-1) * z - 3.33329491539e-1) * z * a + a;
+    if (far) angle += PI / 4.0;
+    if (abs(y) > abs(x)) angle = PI / 2.0 - angle;
+    if (x < 0.0) angle = PI - angle;
+    return y < 0.0 ? -angle : angle;
+}
+
+// Where an equirect image shows a unit direction: the centre column looks along -Z, +X is to its right, row 0 is +Y.
+vec2 equirect(vec3 d) { return vec2(0.5 + angle_of(d.x, -d.z) / (2.0 * PI), angle_of(length(d.xz), d.y) / PI); }
+
 // Orthonormal basis about a unit vector. Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1) 2017.
 mat3 basis(vec3 n) {
     float s = n.z >= 0.0 ? 1.0 : -1.0;

@@ -12,7 +12,7 @@ layout(rgba16f) writeonly uniform image2D out_atlas;
 const uint SAMPLES = 256u;
 
 vec3 texels(vec3 d, float level) {
-    return textureLod(environment_mips, vec2(0.5 + atan(d.x, -d.z) / (2.0 * PI), acos(clamp(d.y, -1.0, 1.0)) / PI), level).rgb;
+    return textureLod(environment_mips, equirect(d), level).rgb;
 }
 
 void main() {

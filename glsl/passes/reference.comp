@@ -36,8 +36,8 @@ float cdf_step(int i, int row) {
 float environment_pdf(vec3 d_ws) {
     vec3 d = environment_from_world(d_ws);
     ivec2 size = textureSize(environment_map, 0);
-    ivec2 p = clamp(ivec2(vec2(0.5 + atan(d.x, -d.z) / (2.0 * PI), acos(clamp(d.y, -1.0, 1.0)) / PI) * vec2(size)), ivec2(0), size - 1);
-    float sin_theta = sqrt(max(1.0 - d.y * d.y, 1e-12));
+    ivec2 p = clamp(ivec2(equirect(d) * vec2(size)), ivec2(0), size - 1);
+    float sin_theta = max(length(d.xz), 1e-6);
     return cdf_step(p.x, p.y) * cdf_step(p.y, size.y) * float(size.x * size.y) / (2.0 * PI * PI * sin_theta);
 }
 
