@@ -31,6 +31,7 @@ class GpuScene:
         starts = np.concatenate([np.full(len(m.blas.slots), m.first_triangle, np.uint32) for m in geometry.meshes] or [np.zeros(0, np.uint32)])
         slots = slots.copy()
         slots[:, 3] += starts
+        slots[:, 7] |= self._slot_flags(slots[:, 7])
         self._tlas = None
         self.top_root = 0
         if features.two_level:
@@ -178,6 +179,23 @@ class GpuScene:
         centre = np.einsum("iab,ib->ia", pose[:, :3, :3], centre) + pose[:, :3, 3]
         half = np.einsum("iab,ib->ia", np.abs(pose[:, :3, :3]), half)
         return np.stack([centre - half, centre + half], axis=1)
+
+    def _slot_flags(self, geometry: np.ndarray) -> np.ndarray:
+        """SLOT_* bits: what the hit groups of a geometry say, so that plain triangles need no look at their record."""
+        tables = []
+        opaque, bits = layout.CONSTANTS["ANY_HIT_OPAQUE"], layout.CONSTANTS
+        for number, mesh in enumerate(self.geometry.meshes):
+            ask, single, double = (np.zeros(len(mesh.geometries), bool) for _ in range(3))
+            for first in np.unique(self.geometry.first_record[self.geometry.instance_mesh == number]):
+                groups = self.geometry.hit_groups[self.geometry.records[first : first + len(ask), 0]]
+                ask |= groups[:, 2] != opaque
+                single |= groups[:, 3] == 1
+                double |= groups[:, 3] == 0
+            ask |= single & double  # instances differ: each hit looks
+            tables.append(np.where(ask, bits["SLOT_ASK"], np.where(single, bits["SLOT_SINGLE_SIDED"], 0)).astype(np.uint32))
+        starts = np.cumsum([0] + [len(t) for t in tables[:-1]])
+        rows = geometry + np.repeat(starts, [len(m.blas.slots) for m in self.geometry.meshes]) if tables else geometry
+        return np.concatenate([*tables, np.zeros(0, np.uint32)])[rows]
 
     def _stack_entries(self) -> int:
         """Traversal stack: depth of the trees, the sentinels, and one spare, in fours."""

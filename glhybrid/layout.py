@@ -115,6 +115,8 @@ STRUCTS: dict[str, list[Row]] = {
 
 CONSTANTS: dict[str, int] = {
     "ID_NONE": 0xFFFFFFFF,
+    # In a slot's geometry word: its any-hit function must be asked; opaque, without a back; the index itself.
+    "SLOT_ASK": 0x80000000, "SLOT_SINGLE_SIDED": 0x40000000, "SLOT_GEOMETRY": 0x3FFFFFFF,
     "KIND_TRIANGLE": 0, "KIND_SPHERE": 1,
     "ANY_HIT_OPAQUE": 0, "ANY_HIT_MASK": 1, "ANY_HIT_TINT": 2,
     "ALPHA_OPAQUE": 0, "ALPHA_MASK": 1, "ALPHA_BLEND": 2,

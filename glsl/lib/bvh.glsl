@@ -145,37 +145,41 @@ vec3 transmittance_at(HitGroup group, Hit hit, bool front, uint see) {
 }
 
 // Follows one ray through the structure. SEE_BLOCKERS: tint is what is left of the light; others: hit is the nearest.
+// A surface whose any-hit function must be asked interrupts the loop: asking reads textures, and that code must not stand
+// where every triangle passes (a CPU would run it masked for each of them, a GPU keep its registers).
 void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
     const bool closest = see != SEE_BLOCKERS;
     float t_max = ray.t_max;
-    uint instance = TWO_LEVEL ? ID_NONE : 0u;
-    LocalRay world, local;
-    Instance root = instances[0];
+    LocalRay local;
 #if USE_TWO_LEVEL
-    world = local_ray(ray.origin, ray.dir, frame.top_grid_min, frame.top_grid_step);
+    uint instance = ID_NONE, cur = frame.top_root;
+    LocalRay world = local_ray(ray.origin, ray.dir, frame.top_grid_min, frame.top_grid_step);
     local = world;
-    uint cur = frame.top_root;
 #else
-    local = local_ray(ray.origin + root.object_from_world[3], ray.dir, root.grid_min, root.grid_step);
-    uint cur = root.root;
+    const uint instance = 0u;                      // whose transform is a translation
+    uint cur = instances[0].root;
+    local = local_ray(ray.origin + instances[0].object_from_world[3], ray.dir, instances[0].grid_min, instances[0].grid_step);
 #endif
+    uint slot = 0u, slot_end = 0u;                 // what is left of the current leaf
+    Hit candidate;
+    bool front, pending = false;
     int sp = 0;
     stack[0] = REF_END;
-    while (cur != REF_END) {
-        for (int i = 0; i < BVH_INNER_STEPS && (cur & LEAF) == 0u; i++) {
-            uvec4 a = texelFetch(nodes, int(cur) * 2), b = texelFetch(nodes, int(cur) * 2 + 1);
-            float ta = box_entry(a.xyz, local, ray.t_min, t_max), tb = box_entry(b.xyz, local, ray.t_min, t_max);
-            bool a_first = ta <= tb;
-            float nearer = min(ta, tb), farther = max(ta, tb);
-            // "< INFINITY" also sends a NaN away. Far child on the stack, near child next; none: the stack's top.
-            if (farther < INFINITY) stack[++sp] = a_first ? b.w : a.w;
-            if (nearer < INFINITY) cur = a_first ? a.w : b.w;
-            else cur = stack[sp--];
+    for (;;) {
+        while (cur != REF_END) {
+            for (int i = 0; i < BVH_INNER_STEPS && (cur & LEAF) == 0u; i++) {
+                uvec4 a = texelFetch(nodes, int(cur) * 2), b = texelFetch(nodes, int(cur) * 2 + 1);
+                float ta = box_entry(a.xyz, local, ray.t_min, t_max), tb = box_entry(b.xyz, local, ray.t_min, t_max);
+                bool a_first = ta <= tb;
+                // "< INFINITY" also sends a NaN away. Far child on the stack, near child next; none: the stack's top.
+                if (max(ta, tb) < INFINITY) stack[++sp] = a_first ? b.w : a.w;
+                if (min(ta, tb) < INFINITY) cur = a_first ? a.w : b.w;
+                else cur = stack[sp--];
 #if USE_STEP_COUNTER
-            step_count++;
+                step_count++;
 #endif
-        }
-        if ((cur & LEAF) != 0u && cur != REF_END) {
+            }
+            if ((cur & LEAF) == 0u || cur == REF_END) continue;
 #if USE_TWO_LEVEL
             if (cur == REF_RETURN) {
                 instance = ID_NONE;
@@ -193,36 +197,50 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
                 continue;
             }
 #endif
-            uint first = (cur & ~LEAF) >> 4u, count = cur & 15u;
-            for (uint s = first; s < first + count; s++) {
-                uvec4 s0 = texelFetch(slots, int(s) * 3), s1 = texelFetch(slots, int(s) * 3 + 1), s2 = texelFetch(slots, int(s) * 3 + 2);
-                Hit candidate = Hit(0.0, vec2(0.0), instance, s0.w, s1.w);
-                bool front, met;
+            if (slot == slot_end) {
+                slot = (cur & ~LEAF) >> 4u;
+                slot_end = slot + (cur & 15u);
+            }
+            for (; slot < slot_end && !pending; slot++) {
+                uvec4 s0 = texelFetch(slots, int(slot) * 3), s1 = texelFetch(slots, int(slot) * 3 + 1), s2 = texelFetch(slots, int(slot) * 3 + 2);
+                float t;
+                vec2 bary = vec2(0.0);
+                bool met, faces_ray;
                 if (SPHERES && s2.w == KIND_SPHERE)
-                    met = intersect_sphere(local, uintBitsToFloat(s0.xyz), uintBitsToFloat(s1.x), ray.t_min, t_max, candidate.t, front);
+                    met = intersect_sphere(local, uintBitsToFloat(s0.xyz), uintBitsToFloat(s1.x), ray.t_min, t_max, t, faces_ray);
                 else
                     met = intersect_triangle(local, uintBitsToFloat(s0.xyz), uintBitsToFloat(s1.xyz), uintBitsToFloat(s2.xyz),
-                                             ray.t_min, t_max, candidate.t, candidate.bary, front);
+                                             ray.t_min, t_max, t, bary, faces_ray);
 #if USE_STEP_COUNTER
                 step_count++;
 #endif
                 // Of surfaces at one distance the lowest id wins, whatever the order of the tree: the raster's rule too.
-                met = met && (!closest || candidate.t < hit.t || candidate.triangle < hit.triangle);
-                if (ALPHA_TEST || BLENDED || (SINGLE_SIDED && closest)) {
-                    WHEN (met) {
-                        HitGroup group = hit_group_of(instance, candidate.geometry);
-                        vec3 through = transmittance_at(group, candidate, front, see);
-                        if (see == SEE_BLOCKERS) { tint *= through; met = max3(tint) <= 0.0; }
-                        else met = max3(through) <= 0.0;
-                    }
-                } else if (met && !closest) tint = vec3(0.0);
-                if (met) {
-                    hit = candidate;
-                    t_max = candidate.t;
-                    if (!closest) return;
+                if (closest) met = met && (t < hit.t || s0.w < hit.triangle);
+                if (closest && SINGLE_SIDED) met = met && (faces_ray || (s1.w & SLOT_SINGLE_SIDED) == 0u);
+                bool ask = (s1.w & SLOT_ASK) != 0u;
+                if (BLENDED && see == SEE_BLENDED) met = met && ask;
+                if ((ALPHA_TEST || BLENDED || SINGLE_SIDED) && met && ask) {
+                    candidate = Hit(t, bary, instance, s0.w, s1.w & SLOT_GEOMETRY);
+                    front = faces_ray;
+                    pending = true;
+                } else if (met) {
+                    hit = Hit(t, bary, instance, s0.w, s1.w & SLOT_GEOMETRY);
+                    t_max = t;
+                    if (!closest) { tint = vec3(0.0); return; }
                 }
             }
-            cur = stack[sp--];
+            if (slot == slot_end) cur = stack[sp--];
+            if (pending) break;
+        }
+        if (!pending) return;
+        pending = false;
+        HitGroup group = hit_group_of(candidate.instance, candidate.geometry);
+        vec3 through = transmittance_at(group, candidate, front, see);
+        tint *= through;
+        if (max3(closest ? through : tint) <= 0.0) {
+            hit = candidate;
+            t_max = candidate.t;
+            if (!closest) return;
         }
     }
 }
