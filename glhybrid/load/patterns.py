@@ -124,9 +124,11 @@ def pattern(name: str, slot: str = "base_color", **given: Any) -> Image:
         raise ShapeError("pattern", name, unknown("pattern", name, PATTERNS))
     common = {key: given.pop(key, default) for key, default in COMMON.items()}
     counts(4096, texels=common["texels"])
-    if "cells" in given:
-        counts(1024, cells=given["cells"])
     width, height = common["texels"]
+    cells = given.get("cells", parameters(name)["cells"])
+    counts(2048, cells=cells)
+    if 2 * cells[0] > width or 2 * cells[1] > height:
+        raise ShapeError("cells", cells, f"must not be more than half the texels ({width} x {height}): add texels")
     u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
     value = PATTERNS[name](u, v, np.random.default_rng(common["seed"]), **given)
     texels = np.full((height, width, 4), 255, np.uint8)

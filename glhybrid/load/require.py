@@ -11,7 +11,17 @@ class ShapeError(LoadError):
     """A parameter of a shape or pattern that is unknown or out of range."""
 
     def __init__(self, key: str, value: object, message: str) -> None:
-        super().__init__(f"{key} = {value!r}: {message}")
+        super().__init__(f"{key} = {_shown(value)}: {message}")
+
+
+def _shown(value: object) -> str:
+    """As TOML would have it, short."""
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, list | tuple):
+        text = "[" + ", ".join(_shown(v) for v in value) + "]"
+        return text if len(text) < 80 else text[:77] + "..."
+    return f'"{value}"' if isinstance(value, str) else repr(value)
 
 
 def positive(**values: float | Sequence[float]) -> None:

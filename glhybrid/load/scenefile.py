@@ -296,7 +296,7 @@ class _Builder:
         if len(self.instances) + total > MAX_INSTANCES:
             table.fail(f"more than {MAX_INSTANCES} instances in all", "count")
         if total > 1 and any(n > 1 and not stride[i].any() for i, n in enumerate(each)):
-            table.fail(f"step = {list(step)}: must not be 0 where count repeats, or the copies coincide")
+            table.fail("needs a step that is not 0 where it repeats, or the copies coincide", "count")
         cells = itertools.product(*(range(n) for n in reversed(each)))
         return [np.array(cell[::-1], np.float64) @ stride for cell in cells]
 
