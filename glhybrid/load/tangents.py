@@ -4,9 +4,9 @@ Tangents are those of MikkTSpace (Mikkelsen 2008, "Simulation of Wrinkled Surfac
 mikktspace.c), which glTF 2.0, 3.7.2.1 asks for, so that normal maps baked elsewhere shade without seams. The steps are
 the reference's, done on whole arrays: weld corners of equal position, normal and texture coordinate; join the corners
 about a vertex across shared edges where the mapping keeps its handedness; sum the projected triangle tangents of each
-such fan by the angle at the vertex. Left out: splitting a fan by an angular threshold (the default of 180 degrees
-never does) and quads. Where a triangle without area in the texture joins fans of both hands the reference decides by
-the order of traversal, this by the lowest triangle.
+such fan by the angle at the vertex. Quads are triangles here, and a fan is never split by the angle between its
+tangents: at the default threshold of 180 degrees the reference splits only exactly opposite ones, an accident of
+rounding. Where a surface has no direction in the texture the reference says +X; here it is some tangent of the surface.
 """
 
 from dataclasses import replace
@@ -18,6 +18,7 @@ from glhybrid.scene import F32, F64, U32, MorphTarget, Triangles
 
 I64 = NDArray[np.int64]
 VERTEX_ARRAYS = ("position", "normal", "tangent", "uv0", "uv1", "color", "joints", "weights")
+MAX_RINGS = 8  # triangles without texture area between two with it about one vertex; deeper ones touch none with it
 _TINY = np.finfo(np.float32).tiny  # the reference's "not zero"
 
 
@@ -153,21 +154,22 @@ def _fans(
     """The fan of each corner (3 T,), named by its lowest corner, and the orientation of each triangle, in which
     triangles without area in the texture have taken that of a neighbour."""
     a, b = _edge_pairs(weld, usable)  # half edges 3 t + i from corner i to corner i + 1, which meet head to tail
-    positive = positive.copy()
-    known = healthy.copy()
-    while True:  # each round reaches one triangle further into a patch without area in the texture
-        ta, tb = np.concatenate([a, b]) // 3, np.concatenate([b, a]) // 3
-        reach = known[ta] & usable[tb] & ~known[tb]
+    fan, known = _joined(a, b, positive, healthy), healthy
+    for _ in range(MAX_RINGS):  # each round reaches one triangle further into a patch without area in the texture
+        near, far = np.concatenate([a, b]), np.concatenate([b, a])
+        reach = known[near // 3] & ~known[far // 3]
         if not reach.any():
             break
-        lowest = np.full(len(known), len(known))
-        np.minimum.at(lowest, tb[reach], ta[reach])
-        new = lowest < len(known)
-        positive[new] = positive[lowest[new]]
-        known |= new
-    joined = positive[a // 3] == positive[b // 3]
-    a, b = a[joined], b[joined]
-    fan = _components(weld.size, np.concatenate([a, _next(a)]), np.concatenate([_next(b), b]))
+        near, far = near[reach], far[reach] // 3
+        # The reference grows fans in the order of their first corners: the first to arrive decides.
+        rank = np.minimum(fan[near], fan[_next(near)])
+        order = np.lexsort((rank, far))
+        far, first = np.unique(far[order], return_index=True)
+        positive, known = positive.copy(), known.copy()
+        positive[far] = positive[near[order[first]] // 3]
+        known[far] = True
+        fan = _joined(a, b, positive, known)
+    fan = _joined(a, b, positive, usable)
     lost = np.repeat(~usable, 3)  # corners of triangles without area join any fan at their vertex: nobody sees them
     if lost.any():
         host = np.full(int(weld.max()) + 1, -1)
@@ -175,6 +177,14 @@ def _fans(
         found = host[weld.ravel()]
         fan = np.where(lost & (found >= 0), found, fan)
     return fan, positive
+
+
+def _joined(a: I64, b: I64, positive: NDArray[np.bool_], among: NDArray[np.bool_]) -> I64:
+    """The fan of each corner: corners joined across half edges a and b of some triangles, of equal orientation."""
+    ta, tb = a // 3, b // 3
+    join = (positive[ta] == positive[tb]) & among[ta] & among[tb]
+    a, b = a[join], b[join]
+    return _components(3 * len(positive), np.concatenate([a, _next(a)]), np.concatenate([_next(b), b]))
 
 
 def _next(half_edge: I64) -> I64:
