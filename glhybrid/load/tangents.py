@@ -106,20 +106,20 @@ def tangents(position: F32, normal: F32, uv: F32, index: U32) -> tuple[F32, I64,
     direction = np.where(np.any(direction, axis=1)[:, None], direction, _any_square(n[fan]))
     sign = np.where(positive[fan // 3], -1.0, 1.0)  # v points down in glTF, up in MikkTSpace
     corner = np.concatenate([direction, sign[:, None]], axis=1).astype(np.float32)
-    return _share_vertices(corner, fan, index, normal)
+    return _share_vertices(corner, index, normal)
 
 
-def _share_vertices(corner: F32, fan: I64, index: U32, normal: F32) -> tuple[F32, I64, U32]:
-    """Corners of one vertex in one fan share a vertex; the first fan of a vertex keeps the old one, others get new."""
+def _share_vertices(corner: F32, index: U32, normal: F32) -> tuple[F32, I64, U32]:
+    """Corners of one vertex with equal tangents share a vertex; the first tangent of a vertex keeps the old number."""
     vertex, count = index.ravel().astype(np.int64), len(normal)
-    _, first, inverse = np.unique(vertex * np.int64(len(fan) + 1) + fan, return_index=True, return_inverse=True)
-    new_vertex = vertex[first]  # of each pair of vertex and fan; sorted, so that the fans of a vertex are neighbours
-    begins = np.ones(len(first), bool)
-    begins[1:] = new_vertex[1:] != new_vertex[:-1]
-    leader = first[np.maximum.accumulate(np.where(begins, np.arange(len(first)), 0))]
-    extra = np.flatnonzero(np.any(corner[first] != corner[leader], axis=1))  # equal tangents need no second vertex
-    source = np.concatenate([np.arange(count), new_vertex[extra]])
-    new_vertex[extra] = count + np.arange(len(extra))
+    key = vertex * np.int64(len(corner) + 1) + first_equal_row(corner)
+    _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
+    new_vertex = vertex[
+        first
+    ]  # of each pair of vertex and tangent; sorted, so that the pairs of a vertex are neighbours
+    again = np.flatnonzero(new_vertex[1:] == new_vertex[:-1]) + 1
+    source = np.concatenate([np.arange(count), new_vertex[again]])
+    new_vertex[again] = count + np.arange(len(again))
     tangent = np.ones((len(source), 4), np.float32)
     tangent[:, :3] = _any_square(normal.astype(np.float64))[source]  # stays where no triangle uses a vertex
     tangent[new_vertex] = corner[first]
