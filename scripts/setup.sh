@@ -79,9 +79,14 @@ if ! opengl_works; then
     opengl_works || { .venv/bin/glhybrid doctor >&2; exit 3; }
 fi
 
-# Mitsuba, in the image tests, compiles with LLVM >= 17; without it those tests are skipped.
-if [ "$extra" = dev ] && [ -n "${fresh:-}" ] && ! ldconfig -p 2>/dev/null | grep -Eq 'libLLVM[-.](so\.)?(1[7-9]|[2-9][0-9])'; then
-    apt_install "Mitsuba needs LLVM" libllvm19 || say "without LLVM the tests against Mitsuba are skipped" >&2
+# Mitsuba, in the image tests, is linked with libatomic and compiles with LLVM >= 17; without them its tests are skipped.
+has_library() { ldconfig -p 2>/dev/null | grep -Eq "$1"; }
+if [ "$extra" = dev ] && [ -n "${fresh:-}" ]; then
+    wanted=""
+    has_library 'libatomic\.so\.1' || wanted="libatomic1"
+    has_library 'libLLVM[-.](so\.)?(1[7-9]|[2-9][0-9])' || wanted="$wanted libllvm19"
+    # shellcheck disable=SC2086 # a list of packages
+    [ -z "$wanted" ] || apt_install "Mitsuba needs libraries" $wanted || say "tests against Mitsuba are skipped" >&2
 fi
 
 touch "$stamp"
