@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from glhybrid import layout
-from glhybrid.bvh import Blas
-from glhybrid.bvh import build_blas as load_or_build
+from glhybrid.bvh import Blas, load_or_build
 from glhybrid.errors import GeometryError
 from glhybrid.scene import F32, F64, U32, Material, Mesh, Scene, Sphere, Triangles
 

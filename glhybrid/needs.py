@@ -29,6 +29,7 @@ class Features:
     environment_map: bool = False  # not constant
     specular_sky: bool = False  # the environment is seen in the specular lobe
     shadow_rays: bool = False  # hits and layers send their own
+    shadow_bits: bool = False  # and their answers are yes or no, for at most 32 lights
     visibility: bool = False  # the shadow pass runs
     reflections: bool = False  # the reflect pass runs
     emitters: bool = False  # reference: some triangles shine
@@ -91,10 +92,11 @@ def find(scene: Scene, settings: Settings) -> Needs:
     mirrors = any(reflective(m) for m in materials)
     reflections = settings.reflections == "ray-lerp" and mirrors
     visibility = lit and settings.shadows == "ray" and not reference
+    blended = any(m.alpha_mode == "BLEND" or m.transmission > 0 for m in materials)
     features = Features(
         spheres=any(isinstance(p, Sphere) for m in meshes for p in m.primitives),
         alpha_test=any(m.alpha_mode == "MASK" for m in materials),
-        blended=any(m.alpha_mode == "BLEND" or m.transmission > 0 for m in materials),
+        blended=blended,
         single_sided=any(not m.double_sided for m in materials),
         textures=textures,
         texture_slots=sum(1 << k for k, slot in enumerate(TEXTURE_SLOTS) if any(slot in m.textures for m in materials)),
@@ -107,6 +109,7 @@ def find(scene: Scene, settings: Settings) -> Needs:
         environment_map=environment and scene.environment is not None and not scene.environment.constant,
         specular_sky=environment and settings.reflections != "none",
         shadow_rays=lit and settings.shadows != "none",
+        shadow_bits=lit and settings.shadows != "none" and not blended and len(scene.lights) <= 32,
         visibility=visibility,
         reflections=reflections,
         emitters=reference and any(max(m.emissive) > 0 for m in materials),

@@ -129,6 +129,7 @@ class Staged:
             reflections=features.reflections and not empty,
             visibility=features.visibility and not empty,
             shadow_rays=features.shadow_rays and not empty,
+            shadow_bits=features.shadow_bits and not empty,
         )
         self.features, self.empty = features, empty
         self.frame_buffer = context.gl.buffer(reserve=layout.dtype("FrameConstants").itemsize)

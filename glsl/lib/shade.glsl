@@ -80,11 +80,31 @@ vec3 indirect_light(Surface s, vec3 v, vec3 mirror_dir, vec3 traced, bool has_tr
 }
 
 // Radiance of a hit seen by a reflection ray: no second reflection, the sky stands in (Kim, section 5).
-vec3 shade_hit(Surface s, vec3 v) {
+vec3 shade_hit(Hit hit, Ray ray, float footprint) {
+    vec3 v = -ray.dir;
+#if USE_SHADOW_BITS
+    // The shadow rays go first, with nothing but the point alive; the surface is looked up when their answers are bits.
+    uint lit = 0u;
+    Point p = point_at(hit, ray);
+    for (uint i = 0u; i < frame.light_count; i++) {
+        LightSample l = light_at(lights[i], p.position);
+        WHEN (arrives(l) && dot(p.n_geo, l.dir) > 0.0) lit |= visibility_of(p, l).x > 0.0 ? 1u << i : 0u;
+    }
+#endif
+    Surface s = surface_at(hit, ray, footprint);
     if (s.unlit) return s.emissive;
+    vec3 sum = s.emissive;
+#if USE_SHADOW_BITS
+    for (uint i = 0u; i < frame.light_count; i++) {
+        LightSample l = light_at(lights[i], s.point.position);
+        if ((lit >> i & 1u) == 1u && faces(s, l.dir)) sum += bsdf_eval(s.bsdf, v, l.dir) * l.irradiance;
+    }
+#else
+    sum += direct_light(s, v);
+#endif
     bool bent;
     vec3 r = mirror_direction(s, v, bent);
-    return s.emissive + direct_light(s, v) + indirect_light(s, v, r, vec3(0.0), false);
+    return sum + indirect_light(s, v, r, vec3(0.0), false);
 }
 
 // How much of a blended surface is seen, and what is behind it is multiplied by.
@@ -97,7 +117,7 @@ vec3 trace_radiance(Ray ray, float width_0, float spread, out Hit hit) {
     hit = closest_hit(ray);
     vec3 radiance = vec3(0.0);
     if (hit.triangle == ID_NONE) radiance = environment_radiance(ray.dir);
-    else radiance = shade_hit(surface_at(hit, ray, width_0 + spread * hit.t), -ray.dir);
+    else radiance = shade_hit(hit, ray, width_0 + spread * hit.t);
 #if USE_BLENDED
     vec3 through = vec3(1.0), layers = vec3(0.0);
     Ray rest = Ray(ray.origin, ray.t_min, ray.dir, hit.t);
@@ -105,7 +125,7 @@ vec3 trace_radiance(Ray ray, float width_0, float spread, out Hit hit) {
         Hit layer = closest_blended(rest);
         if (layer.triangle == ID_NONE) break;
         Surface s = surface_at(layer, ray, width_0 + spread * layer.t);
-        layers += through * s.alpha * shade_hit(s, -ray.dir);
+        layers += through * s.alpha * shade_hit(layer, ray, width_0 + spread * layer.t);
         through *= layer_transmittance(s);
         rest.t_min = uintBitsToFloat(floatBitsToUint(layer.t) + 1u);
     }

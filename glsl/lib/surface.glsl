@@ -25,6 +25,16 @@ vec3 mapped_normal(vec3 texel, float scale, vec3 n, vec4 tangent) {
 }
 #endif
 
+// The exact point of a hit, n_geo turned to where the ray came from.
+Point point_at(Hit hit, Ray ray) {
+    Instance inst = instances[hit.instance];
+    uvec4 tri = texelFetch(triangles, int(hit.triangle));
+    Point p = triangle_point(tri, hit.bary, inst);
+    if (SPHERES && hit_group_of(hit.instance, tri.w).kind == KIND_SPHERE) p = sphere_point(tri, ray, hit.t, inst);
+    if (dot(p.n_geo, ray.dir) > 0.0) p.n_geo = -p.n_geo;
+    return p;
+}
+
 // ray: the one that found the hit. footprint: diameter in m of what it stands for, at the hit (0 = finest texture level).
 Surface surface_at(Hit hit, Ray ray, float footprint) {
     Surface s;

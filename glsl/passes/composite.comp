@@ -55,7 +55,7 @@ vec3 layers_over(Pixel p, vec3 behind) {
                 Ray ray = Ray(ray_origin(s.point, r), 0.0, r, INFINITY);
                 Hit seen = closest_hit(ray);
                 if (seen.triangle == ID_NONE) traced = environment_radiance(r);
-                else traced = shade_hit(surface_at(seen, ray, footprint(hit.t + seen.t)), -r);
+                else traced = shade_hit(seen, ray, footprint(hit.t + seen.t));
             }
             color += indirect_light(s, v, r, traced, look);
 #else
