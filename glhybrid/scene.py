@@ -192,13 +192,15 @@ class Environment:
 class Camera:
     """A view. world_from_view: (4, 4) float64, rigid, looking down -Z. Perspective if fov_y > 0, else orthographic.
 
-    fov_y: vertical, radians, whatever the image's shape. xmag, ymag: half extents in metres (orthographic); xmag 0 =
+    fov_y: vertical, radians, whatever the image's shape; but with fov_short it spans the shorter side, so that what
+    fits stays in view in tall images too (cameras made to frame something). xmag, ymag: half extents in metres (orthographic); xmag 0 =
     from the image's shape. near, far clip only what the raster sees; far 0 = infinite.
     """
 
     name: str
     world_from_view: F64
     fov_y: float = np.pi / 4
+    fov_short: bool = False
     near: float = 0.01
     far: float = 0.0
     xmag: float = 0.0

@@ -48,7 +48,7 @@ def make_view(camera: Camera, size: tuple[int, int], scene: Scene, clip_control:
         clip[2, 2], clip[2, 3] = 1 / (reach - camera.near), reach / (reach - camera.near)
         pixel_angle = 2 * half_y / height
     else:
-        half_y = float(np.tan(camera.fov_y / 2))
+        half_y = float(np.tan(camera.fov_y / 2)) * (max(1.0, height / width) if camera.fov_short else 1.0)
         half_x = half_y * width / height
         clip[0, 0], clip[1, 1], clip[3, 2] = 1 / half_x, 1 / half_y, -1
         clip[2, 3] = camera.near

@@ -54,7 +54,7 @@ def read_model(path: Path, *, strict: bool = False, allow_outside: bool = False,
 
 
 def default_camera(scene: Scene) -> Camera:
-    """A camera from the front, a bit right and above, that sees the whole scene in images from 1:2 to 2:1."""
+    """A camera from the front, a bit right and above, that sees the whole scene in images of any shape."""
     from glhybrid.load import defaults
 
     return defaults.default_camera(scene)

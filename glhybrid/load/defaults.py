@@ -1,25 +1,27 @@
 """What a file without a camera or without any light is looked at with."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from glhybrid.load.sky import sky_map, sun_light
 from glhybrid.scene import F64, Camera, Environment, Light, Mesh, Scene, Sphere
 
 FOV_Y = np.radians(40.0)  # long enough to keep a model's proportions
-NARROWEST = 0.5  # width / height of the narrowest image in which the whole scene is still visible
 VIEW_FROM = (0.45, 0.36, 1.0)  # from the front, a bit to the right and above
 SUN_ELEVATION, SUN_AZIMUTH, TURBIDITY = np.radians(42.0), np.radians(218.0), 4.0  # over the viewer's left shoulder
-SUN_SHARE = 1.7  # lux from the sun on a surface that faces it
-SKY_SHARE = 1.4  # lux from the sky on a surface that faces up: with the sun, white comes out near radiance 1
+GROUND = (0.19, 0.20, 0.215)  # albedo: a neutral grey under the warm sun, darker than most things shown on it
+SUN_SHARE = 2.4  # lux from the sun on a surface that faces it
+SKY_SHARE = 1.0  # lux from the sky on a surface that faces up: with the sun, white comes out near radiance 1
 
 
 def default_camera(scene: Scene) -> Camera:
-    """A camera that sees the bounding sphere of all that is drawn whole, in images from 1:2 to 2:1."""
+    """A camera that sees the bounding sphere of all that is drawn whole, whatever the image's shape."""
     center, radius = bounding_sphere(scene)
-    half_angle = np.arctan(np.tan(FOV_Y / 2) * NARROWEST)
     way = np.array(VIEW_FROM) / np.linalg.norm(VIEW_FROM)
-    eye = center + way * (radius / np.sin(half_angle) * 1.02)
-    return Camera.look_at(tuple(eye), tuple(center), fov_y=FOV_Y, near=radius * 1e-3, name="default")
+    eye = center + way * (radius / np.sin(FOV_Y / 2) * 1.02)
+    camera = Camera.look_at(tuple(eye), tuple(center), fov_y=FOV_Y, near=radius * 1e-3, name="default")
+    return replace(camera, fov_short=True)
 
 
 def default_light(scene: Scene) -> tuple[Environment, Light]:
@@ -27,7 +29,7 @@ def default_light(scene: Scene) -> tuple[Environment, Light]:
 
     At that scale unlit and emissive materials of usual strength keep their place in the picture.
     """
-    radiance = sky_map(SUN_ELEVATION, SUN_AZIMUTH, TURBIDITY)
+    radiance = sky_map(SUN_ELEVATION, SUN_AZIMUTH, TURBIDITY, GROUND)
     sun = sun_light(SUN_ELEVATION, SUN_AZIMUTH, TURBIDITY)
     height = len(radiance)
     polar = (np.arange(height // 2) + 0.5) / height * np.pi
