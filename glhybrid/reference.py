@@ -269,7 +269,7 @@ def _in_parts(function: Callable[[int, int], None], count: int, threads: int | N
 
 def _rays(origins: Any, directions: Any, t_min: Any, t_max: Any, precision: type) -> list[NDArray[Any]]:
     """Rays as contiguous arrays of one precision: (R, 3), (R, 3), (R,), (R,); single values stand for all rays."""
-    directions = np.array(directions, precision).reshape(-1, 3)
+    directions = np.array(directions, precision, order="C").reshape(-1, 3)
     count = len(directions)
     rays: list[NDArray[Any]] = [np.array(np.broadcast_to(origins, (count, 3)), precision, order="C"), directions]
     return rays + [np.array(np.broadcast_to(end, (count,)), precision) for end in (t_min, t_max)]
