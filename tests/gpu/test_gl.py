@@ -79,6 +79,7 @@ def test_depth_is_32_bit_float_from_0_to_1(context: Context) -> None:
         raw.glClipControl(G.GL_LOWER_LEFT, G.GL_NEGATIVE_ONE_TO_ONE)
         gl.depth_func = "<"
         gl.disable(gl.DEPTH_TEST)
+        gl.detect_framebuffer(0).use()  # moderngl binds the last one used again later: not one that is released
     for owned in (triangle, program, frame, color, depth):
         owned.release()
 
