@@ -34,7 +34,7 @@ COMPRESSED = {  # what to do where a file cannot be read without an extension
 }
 
 
-@np.errstate(invalid="ignore", over="ignore", divide="ignore")  # a file may hold any bits; what is made is checked
+@np.errstate(all="ignore")  # a file may hold any bits; what is made is checked
 def load_gltf(path: Path, *, strict: bool = False, smooth: bool = False, allow_outside: bool = False) -> Scene:
     """The default scene of a .gltf or .glb file, told apart by content.
 
@@ -101,7 +101,7 @@ class _Contents:
         for index in placed:
             use = self.reader.use(index)
             if library and use.slot >= 0:
-                self.instances.append(Instance(use.slot, np.eye(4), use.name, use.materials))
+                self.instances.append(Instance(use.slot, np.eye(4), use.name, materials=use.materials))
         lights = self._light_items()
         for node in drawn:
             self._place(node, items[node], lights)
@@ -139,7 +139,9 @@ class _Contents:
         label = name or use.name
         for i, matrix in enumerate(matrices):
             number_label = f"{label}[{i}]" if len(matrices) > 1 else label
-            self.instances.append(Instance(use.slot, matrix, number_label, use.materials, node, skin))
+            self.instances.append(
+                Instance(use.slot, matrix, number_label, materials=use.materials, node=node, skin=skin)
+            )
 
     def _skin(self, item: Item, mesh: Mesh) -> int:
         skin: int | None = item.index("skin", "skins")

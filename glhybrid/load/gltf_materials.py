@@ -41,7 +41,15 @@ class TextureRef:
         return None if self.transform is None else np.array(self.transform).reshape(2, 3)
 
     def texture(self, image: Image) -> Texture:
-        return Texture(image, self.uv_set, self.uv_transform, self.wrap_u, self.wrap_v, self.nearest, self.mipmap)
+        return Texture(
+            image,
+            uv_set=self.uv_set,
+            uv_transform=self.uv_transform,
+            wrap_u=self.wrap_u,
+            wrap_v=self.wrap_v,
+            nearest=self.nearest,
+            mipmap=self.mipmap,
+        )
 
 
 @dataclass(frozen=True)

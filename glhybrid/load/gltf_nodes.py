@@ -78,7 +78,7 @@ def _node(item: Item, parent: int) -> Node:
     if abs(length - 1.0) > 1e-7:
         rotation = tuple(float(r) / length for r in rotation)
     translation, scale = item.numbers("translation", 3, (0.0,) * 3), item.numbers("scale", 3, (1.0,) * 3)
-    return Node(item.name, parent, translation, rotation, scale, morph_weights=weights)
+    return Node(item.name, parent, translation=translation, rotation=rotation, scale=scale, morph_weights=weights)
 
 
 def _world_matrices(nodes: tuple[Node, ...], levels: list[list[int]]) -> F64:
@@ -200,13 +200,13 @@ def read_camera(item: Item, node: int, node_name: str, world: F64) -> Camera:
             raise data.fail(f'"yfov" is {fov_y}, must be between 0 and pi radians')
         if near == 0.0:
             raise data.fail('"znear" is 0, must be > 0')
-        return Camera(name, pose, fov_y, near, far, node=node)
+        return Camera(name, pose, fov_y=fov_y, near=near, far=far, node=node)
     xmag, ymag = data.number("xmag"), data.number("ymag")
     if xmag == 0.0 or ymag == 0.0:
         raise data.fail(f"xmag {xmag} and ymag {ymag} must not be 0")
     if min(xmag, ymag) < 0.0:
         data.warn("negative xmag or ymag: the sign is ignored")
-    return Camera(name, pose, 0.0, near, far, abs(xmag), abs(ymag), node=node)
+    return Camera(name, pose, fov_y=0.0, near=near, far=far, xmag=abs(xmag), ymag=abs(ymag), node=node)
 
 
 def _rigid(world: F64) -> F64 | None:
@@ -243,8 +243,15 @@ def read_light(item: Item, node: int, node_name: str, world: F64) -> Light:
         if not (0.0 <= inner <= outer and 0.0 < outer <= np.pi / 2 + 1e-6):
             raise spot.fail(f"innerConeAngle {inner} and outerConeAngle {outer} must be 0 <= inner < outer <= pi/2")
     unit = direction / length if length > 0.0 else np.array([0.0, -1.0, 0.0])
-    position = tuple(float(v) for v in world[:3, 3])
     return Light(
-        kind, color, intensity, position, tuple(float(v) for v in unit), reach, inner, outer,  # type: ignore[arg-type]
-        name=item.name or node_name, node=node,
-    )  # fmt: skip
+        kind,
+        color=color,
+        intensity=intensity,
+        position=tuple(float(v) for v in world[:3, 3]),  # type: ignore[arg-type]
+        direction=tuple(float(v) for v in unit),  # type: ignore[arg-type]
+        range=reach,
+        inner_cone=inner,
+        outer_cone=outer,
+        name=item.name or node_name,
+        node=node,
+    )

@@ -22,7 +22,7 @@ PLY_UV = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 PLY_KNOWN = {"x", "y", "z", "nx", "ny", "nz", *PLY_COLORS, *(name for pair in PLY_UV for name in pair)}
 
 
-@np.errstate(invalid="ignore", over="ignore", divide="ignore")  # a file may hold any bits; what is made is checked
+@np.errstate(all="ignore")  # a file may hold any bits; what is made is checked
 def load_mesh(path: Path, *, smooth: bool = False, strict: bool = False, allow_outside: bool = False) -> Scene:
     """The Scene of an .obj, .ply, .stl or .off file: one mesh, one instance, a piece for each material.
 

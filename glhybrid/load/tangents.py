@@ -17,16 +17,19 @@ from numpy.typing import NDArray
 from glhybrid.scene import F32, F64, U32, MorphTarget, Triangles
 
 I64 = NDArray[np.int64]
+# A file may hold any numbers: the public functions run without floating-point warnings, what they make is checked.
 VERTEX_ARRAYS = ("position", "normal", "tangent", "uv0", "uv1", "color", "joints", "weights")
 MAX_RINGS = 8  # triangles without texture area between two with it about one vertex; deeper ones touch none with it
 _TINY = np.finfo(np.float32).tiny  # the reference's "not zero"
 
 
+@np.errstate(all="ignore")
 def face_normals(position: F32, index: U32) -> F32:
     """(T, 3) unit normals of the triangles, counter-clockwise; (0, 0, 1) for those without area or not finite."""
     return _unit(_area_vectors(position, index), fallback=(0.0, 0.0, 1.0)).astype(np.float32)
 
 
+@np.errstate(all="ignore")
 def smooth_normals(position: F32, index: U32, weld: bool = True) -> F32:
     """(V, 3) unit vertex normals: triangle normals weighted by their angle at the vertex (Thuermer & Wuethrich 1998).
 
@@ -37,12 +40,11 @@ def smooth_normals(position: F32, index: U32, weld: bool = True) -> F32:
     p = position[index].astype(np.float64)
     vertex = (first_equal_row(position) if weld else np.arange(len(position)))[index]
     total = np.zeros((len(position), 3))
-    with np.errstate(invalid="ignore", over="ignore"):
-        for corner in range(3):
-            a = _unit(p[:, (corner + 1) % 3] - p[:, corner])
-            b = _unit(p[:, (corner + 2) % 3] - p[:, corner])
-            angle = np.nan_to_num(np.arccos(np.clip((a * b).sum(1), -1.0, 1.0)))
-            _add_rows(total, vertex[:, corner], n_face * angle[:, None])
+    for corner in range(3):
+        a = _unit(p[:, (corner + 1) % 3] - p[:, corner])
+        b = _unit(p[:, (corner + 2) % 3] - p[:, corner])
+        angle = np.nan_to_num(np.arccos(np.clip(_dot(a, b), -1.0, 1.0)))
+        _add_rows(total, vertex[:, corner], n_face * angle[:, None])
     unit = _unit(total, fallback=(0.0, 0.0, 1.0)).astype(np.float32)
     return unit[first_equal_row(position)] if weld else unit
 
@@ -61,6 +63,7 @@ def smooth(triangles: Triangles) -> Triangles:
     return replace(triangles, normal=smooth_normals(triangles.position, triangles.index), tangent=None)
 
 
+@np.errstate(all="ignore")
 def with_normals(triangles: Triangles, normal: NDArray[np.floating]) -> Triangles:
     """The same triangles with these normals (V, 3) at length 1; those without direction replaced by smooth ones."""
     unit = _unit(normal.astype(np.float64)).astype(np.float32)
@@ -87,6 +90,7 @@ def with_tangents(triangles: Triangles, uv_set: int = 0, uv_transform: F64 | Non
     return replace(triangles, tangent=tangent, index=index)
 
 
+@np.errstate(all="ignore")
 def tangents(position: F32, normal: F32, uv: F32, index: U32) -> tuple[F32, I64, U32]:
     """MikkTSpace tangents.
 
@@ -102,8 +106,12 @@ def tangents(position: F32, normal: F32, uv: F32, index: U32) -> tuple[F32, I64,
     weight = (_corner_angles(position, normal, index) * healthy[:, None]).ravel()
     total = np.zeros((len(fan), 3))
     _add_rows(total, fan, _unit(_project(np.repeat(slope, 3, axis=0), n)) * weight[:, None])
-    direction = _unit(_project(total[fan], n[fan]))
-    direction = np.where(np.any(direction, axis=1)[:, None], direction, _any_square(n[fan]))
+    roots = np.unique(fan)
+    direction = np.zeros_like(total)
+    direction[roots] = _unit(_project(total[roots], n[roots]))
+    lost = roots[~direction[roots].any(axis=1)]
+    direction[lost] = _any_square(n[lost])
+    direction = direction[fan]
     sign = np.where(positive[fan // 3], -1.0, 1.0)  # v points down in glTF, up in MikkTSpace
     corner = np.concatenate([direction, sign[:, None]], axis=1).astype(np.float32)
     return _share_vertices(corner, index, normal)
@@ -114,15 +122,16 @@ def _share_vertices(corner: F32, index: U32, normal: F32) -> tuple[F32, I64, U32
     vertex, count = index.ravel().astype(np.int64), len(normal)
     key = vertex * np.int64(len(corner) + 1) + first_equal_row(corner)
     _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
-    new_vertex = vertex[
-        first
-    ]  # of each pair of vertex and tangent; sorted, so that the pairs of a vertex are neighbours
+    new_vertex = vertex[first]  # of each pair of vertex and tangent, sorted: the pairs of one vertex are neighbours
     again = np.flatnonzero(new_vertex[1:] == new_vertex[:-1]) + 1
     source = np.concatenate([np.arange(count), new_vertex[again]])
     new_vertex[again] = count + np.arange(len(again))
     tangent = np.ones((len(source), 4), np.float32)
-    tangent[:, :3] = _any_square(normal.astype(np.float64))[source]  # stays where no triangle uses a vertex
     tangent[new_vertex] = corner[first]
+    unused = np.ones(len(source), bool)
+    unused[new_vertex] = False
+    if unused.any():
+        tangent[unused, :3] = _any_square(normal[source[unused]].astype(np.float64))
     return tangent, source, new_vertex[inverse.ravel()].reshape(-1, 3).astype(np.uint32)
 
 
@@ -131,21 +140,21 @@ def _triangle_tangents(
 ) -> tuple[F64, NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
     """Unit d position / d u of each triangle (T, 3), and whether the mapping keeps orientation, whether the triangle
     has three different positions, and whether it also has area in the texture."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        p, t = position[index].astype(np.float64), uv[index]
-        d1, d2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
-        t1, t2 = t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]  # float32 as in the reference: the sign of a sliver counts
-        area = t1[:, 0] * t2[:, 1] - t1[:, 1] * t2[:, 0]
-        u_axis = t2[:, 1:] * d1 - t1[:, 1:] * d2  # Mikkelsen, eq. 18
-        v_axis = t1[:, :1] * d2 - t2[:, :1] * d1  # eq. 19
+    p, t = position[index].astype(np.float64), uv[index]
+    d1, d2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
+    t1, t2 = t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]  # float32 as in the reference: the sign of a sliver counts
+    area = t1[:, 0] * t2[:, 1] - t1[:, 1] * t2[:, 0]
+    u_axis = t2[:, 1:] * d1 - t1[:, 1:] * d2  # Mikkelsen, eq. 18
+    v_axis = t1[:, :1] * d2 - t2[:, :1] * d1  # eq. 19
     positive = area > 0
     usable = np.asarray(np.isfinite(p).all((1, 2)))
-    for a, b in ((0, 1), (0, 2), (1, 2)):
-        usable &= np.any(p[:, a] != p[:, b], axis=1)
-    healthy = usable & (np.abs(area) > _TINY) & np.any(u_axis, axis=1) & np.any(v_axis, axis=1)
-    healthy &= np.isfinite(u_axis).all(1) & np.isfinite(v_axis).all(1)
+    for edge in (d1, d2, d2 - d1):
+        usable &= _dot(edge, edge) > 0.0
+    steep = np.minimum(_dot(u_axis, u_axis), _dot(v_axis, v_axis))
+    healthy = usable & (np.abs(area) > _TINY) & (steep > 0.0) & np.isfinite(steep)
     slope = _unit(u_axis) * np.where(positive, 1.0, -1.0)[:, None]
-    return np.where(healthy[:, None], slope, 0.0), positive, usable, healthy
+    slope[~healthy] = 0.0
+    return slope, positive, usable, healthy
 
 
 def _fans(
@@ -169,7 +178,8 @@ def _fans(
         positive[far] = positive[near[order[first]] // 3]
         known[far] = True
         fan = _joined(a, b, positive, known)
-    fan = _joined(a, b, positive, usable)
+    if not np.array_equal(known, usable):
+        fan = _joined(a, b, positive, usable)
     lost = np.repeat(~usable, 3)  # corners of triangles without area join any fan at their vertex: nobody sees them
     if lost.any():
         host = np.full(int(weld.max()) + 1, -1)
@@ -233,32 +243,36 @@ def _components(count: int, a: I64, b: I64) -> I64:
 def _corner_angles(position: F32, normal: F32, index: U32) -> F64:
     """(T, 3) angle of each triangle at each corner, radians, seen along the vertex normal."""
     angles = np.zeros(index.shape)
-    with np.errstate(invalid="ignore", over="ignore"):
-        p, n = position[index].astype(np.float64), normal[index].astype(np.float64)
-        for i in range(3):
-            to_next = _unit(_project(p[:, (i + 1) % 3] - p[:, i], n[:, i]))
-            to_last = _unit(_project(p[:, (i + 2) % 3] - p[:, i], n[:, i]))
-            angles[:, i] = np.arccos(np.clip((to_next * to_last).sum(1), -1.0, 1.0))
+    p, n = position[index].astype(np.float64), normal[index].astype(np.float64)
+    for i in range(3):
+        to_next = _unit(_project(p[:, (i + 1) % 3] - p[:, i], n[:, i]))
+        to_last = _unit(_project(p[:, (i + 2) % 3] - p[:, i], n[:, i]))
+        angles[:, i] = np.arccos(np.clip(_dot(to_next, to_last), -1.0, 1.0))
     return np.nan_to_num(angles)
 
 
 def _area_vectors(position: F32, index: U32) -> F64:
-    with np.errstate(invalid="ignore", over="ignore"):
-        p = position[index].astype(np.float64)
-        return np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    p = position[index].astype(np.float64)
+    return np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
 
 
 def _project(v: F64, n: F64) -> F64:
     """v without its part along the unit vector n."""
-    return v - (v * n).sum(1, keepdims=True) * n
+    return v - _dot(v, n)[:, None] * n
 
 
 def _unit(v: F64, fallback: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> F64:
     """Rows of length 1; the fallback for rows that are zero or not finite."""
-    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        length = np.sqrt((v * v).sum(1, keepdims=True))
-        good = np.isfinite(length) & (length > _TINY)
-        return np.where(good, v / length, fallback)
+    length = np.sqrt(_dot(v, v))
+    bad = ~(np.isfinite(length) & (length > 0.0))
+    unit = v / length[:, None]
+    if bad.any():
+        unit[bad] = fallback
+    return unit
+
+
+def _dot(a: F64, b: F64) -> F64:
+    return np.asarray(np.einsum("ij,ij->i", a, b))
 
 
 def _any_square(n: F64) -> F64:
