@@ -52,6 +52,7 @@ def context(_shared_context: "Context") -> "Iterator[Context]":
     _shared_context.make_current()  # another test may have left its own context current
     before = _shared_context.raw.errors()
     assert not before, f"left by an earlier test: {before}"
+    _shared_context.gl.detect_framebuffer(0).use()  # nor does a framebuffer of an earlier test stay bound
     yield _shared_context
     _shared_context.make_current()
     after = _shared_context.raw.errors()
