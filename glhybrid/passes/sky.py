@@ -77,7 +77,7 @@ def _rgba(rgb: F32) -> bytes:
 
 def _mips(radiance: F32) -> list[F32]:
     """Halved until one texel is left; rows weighted by their solid angle, so that the poles do not shine brighter."""
-    levels = [np.clip(radiance, 0, 65504).astype(np.float32)]  # what half floats hold: the atlases are rgba16f
+    levels = [np.maximum(radiance, 0).astype(np.float32)]
     while max(levels[-1].shape[:2]) > 1:
         texels = levels[-1]
         height, width = texels.shape[:2]

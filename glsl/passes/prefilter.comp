@@ -48,5 +48,5 @@ void main() {
         float level = max(0.0, 0.5 * log2(1.0 / (float(SAMPLES) * pdf * texel_angle)) + 1.0);
         sum += weight * vec4(texels(l, level), 1.0);
     }
-    imageStore(out_atlas, px + ivec2(column, 0), vec4(sum.rgb / sum.w, 1.0));
+    imageStore(out_atlas, px + ivec2(column, 0), vec4(min(sum.rgb / sum.w, 65504.0), 1.0));   // what a half float holds
 }
