@@ -47,8 +47,9 @@ vec3 specular_fresnel(Bsdf b, float VoH) {
 vec3 specular_f0(Bsdf b) { return mix(b.f0_dielectric, b.base_color, b.metallic); }
 float specular_f90(Bsdf b) { return mix(b.f90_dielectric, 1.0, b.metallic); }
 
-// What the clearcoat leaves for the layers below, at this angle (KHR_materials_clearcoat).
-float coat_fresnel(Bsdf b, float VoH) { return b.clearcoat * (0.04 + 0.96 * pow5(clamp(1.0 - VoH, 0.0, 1.0))); }
+// Share of the light that the clearcoat reflects: the weight of its lobe, and what it takes from all below, emission
+// included. By N.V, not V.H, so that the two add up to one (KHR_materials_clearcoat, "Layering").
+float coat_fresnel(Bsdf b, vec3 v) { return b.clearcoat * (0.04 + 0.96 * pow5(clamp(1.0 - abs(dot(b.n_coat, v)), 0.0, 1.0))); }
 
 // BSDF times NoL for light from l (above the surface), v towards the viewer; unit vectors. Mirrors have no lobe here.
 vec3 bsdf_eval(Bsdf b, vec3 v, vec3 l) {
@@ -64,11 +65,12 @@ vec3 bsdf_eval(Bsdf b, vec3 v, vec3 l) {
     }
     if (CLEARCOAT) {
         float coat_NoL = dot(b.n_coat, l), coat_NoV = dot(b.n_coat, v);
-        result *= 1.0 - coat_fresnel(b, max(coat_NoV, 0.0));
+        float coat = coat_fresnel(b, v);
+        result *= 1.0 - coat;
         if (coat_NoL > 0.0 && coat_NoV > 0.0 && b.clearcoat_roughness >= MIRROR_ROUGHNESS) {
             vec3 h = normalize(v + l);
             float alpha = max(square(b.clearcoat_roughness), 4e-4);
-            result += vec3(coat_fresnel(b, dot(v, h)) * ggx_d(b.n_coat, h, alpha) * smith_v(coat_NoL, coat_NoV, alpha) * coat_NoL);
+            result += vec3(coat * ggx_d(b.n_coat, h, alpha) * smith_v(coat_NoL, coat_NoV, alpha) * coat_NoL);
         }
     }
     return result;

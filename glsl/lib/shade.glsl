@@ -70,12 +70,15 @@ vec3 indirect_light(Surface s, vec3 v, vec3 mirror_dir, vec3 traced, bool has_tr
     vec3 sky = SPECULAR_SKY ? environment_prefiltered(mirror_dir, b.roughness) : vec3(0.0);
     specular = has_traced ? (is_mirror(b) ? traced : mix(traced, sky, b.roughness)) : sky;
     result += specular_albedo(b, v) * specular;
-    if (CLEARCOAT && b.clearcoat > 0.0) {
-        float f = coat_fresnel(b, clamp(dot(b.n_coat, v), 0.0, 1.0));
-        vec3 coat_sky = SPECULAR_SKY ? environment_prefiltered(mirror_dir, b.clearcoat_roughness) : vec3(0.0);
-        result = result * (1.0 - f) + f * (has_traced ? mix(traced, coat_sky, b.clearcoat_roughness) : coat_sky);
-    }
 #endif
+    if (CLEARCOAT && b.clearcoat > 0.0) {
+        float f = coat_fresnel(b, v);
+        result *= 1.0 - f;
+#if USE_SPECULAR_SKY || USE_REFLECTIONS
+        vec3 coat_sky = SPECULAR_SKY ? environment_prefiltered(mirror_dir, b.clearcoat_roughness) : vec3(0.0);
+        result += f * (has_traced ? mix(traced, coat_sky, b.clearcoat_roughness) : coat_sky);
+#endif
+    }
     return result;
 }
 

@@ -6,7 +6,7 @@ struct Surface {
     Point point;         // exact position, n_geo turned to the viewer
     Bsdf bsdf;
     vec3 emissive;       // radiance
-    float alpha;         // coverage: 1 unless ALPHA_BLEND
+    float alpha;         // coverage: 1 unless the material blends or cuts out
     float occlusion;     // of the baked map, 1 = open
     bool unlit;
     uint material;
@@ -131,7 +131,7 @@ Surface surface_at(Hit hit, Ray ray, float footprint) {
 #endif
 #endif
     s.bsdf.base_color = color.rgb;
-    s.alpha = m.alpha_mode == ALPHA_BLEND ? color.a : 1.0;
+    s.alpha = coverage(m, color.a);
     s.bsdf.metallic = metallic;
     s.bsdf.roughness = roughness;
     s.bsdf.alpha = max(square(roughness), 4e-4);
@@ -139,5 +139,7 @@ Surface surface_at(Hit hit, Ray ray, float footprint) {
     s.bsdf.f90_dielectric = SPECULAR ? specular : 1.0;
     s.unlit = m.unlit == 1u;
     if (s.unlit) s.emissive = color.rgb;
+    else if (CLEARCOAT) s.emissive *= 1.0 - coat_fresnel(s.bsdf, to_viewer);   // the coat lies over the emission
+    s.bsdf.transmission *= 1.0 - metallic;                                 // metals absorb what they do not reflect
     return s;
 }

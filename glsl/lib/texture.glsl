@@ -93,15 +93,23 @@ vec4 base_color_at(Material m, Hit hit) {
     return color;
 }
 
+// How much of a surface is there, by the alpha of its base colour.
+float coverage(Material m, float alpha) {
+    return m.alpha_mode == ALPHA_BLEND ? alpha : (m.alpha_mode == ALPHA_MASK && alpha < m.alpha_cutoff ? 0.0 : 1.0);
+}
+
 // What a blended or transmissive surface lets through, straight on (thin).
 vec3 tint_at(Material m, vec4 color, Hit hit) {
-    float transmission = m.transmission;
+    float transmission = m.transmission, metallic = m.metallic;
 #if USE_TEXTURES
     WHEN (HAS_SLOT(SLOT_TRANSMISSION) && m.texture[SLOT_TRANSMISSION] >= 0) {
         Attributes a = attributes_at(hit);
         transmission *= sample_texture(m.texture[SLOT_TRANSMISSION], a.uv0, a.uv1, FINEST_LEVEL, false).r;
     }
+    WHEN (HAS_SLOT(SLOT_METALLIC_ROUGHNESS) && transmission > 0.0 && m.texture[SLOT_METALLIC_ROUGHNESS] >= 0) {
+        Attributes a = attributes_at(hit);
+        metallic *= sample_texture(m.texture[SLOT_METALLIC_ROUGHNESS], a.uv0, a.uv1, FINEST_LEVEL, false).b;
+    }
 #endif
-    float alpha = m.alpha_mode == ALPHA_BLEND ? color.a : 1.0;
-    return mix(vec3(1.0), color.rgb * transmission, alpha);
+    return mix(vec3(1.0), color.rgb * transmission * (1.0 - metallic), coverage(m, color.a));
 }

@@ -39,7 +39,7 @@ vec3 surface_radiance(Pixel p, Surface s, ivec2 px) {
 // Blended surfaces in front, nearest first: the order of the ray, so nothing needs sorting.
 vec3 layers_over(Pixel p, vec3 behind) {
     vec3 layers = vec3(0.0), through = vec3(1.0);
-    Ray rest = Ray(p.ray.origin, 0.0, p.ray.dir, p.hit.t);
+    Ray rest = Ray(p.ray.origin, p.ray.t_min, p.ray.dir, p.hit.t);
     for (int i = 0; i < MAX_LAYERS; i++) {
         Hit hit = closest_blended(rest);
         if (hit.triangle == ID_NONE) break;

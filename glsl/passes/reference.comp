@@ -70,7 +70,7 @@ Lobes lobes_of(Bsdf b, vec3 v) {
     float NoV = max(dot(b.n, v), 0.0);
     float f = luminance(specular_fresnel(b, NoV));
     float d = luminance(b.base_color) * (1.0 - b.metallic) * (1.0 - b.transmission);
-    float coat = CLEARCOAT ? coat_fresnel(b, max(dot(b.n_coat, v), 0.0)) : 0.0;
+    float coat = CLEARCOAT ? coat_fresnel(b, v) : 0.0;
     float specular = b.metallic >= 1.0 || d <= 0.0 ? 1.0 : clamp(f / max(f + d, 1e-6), 0.1, 0.9);
     coat = coat > 0.0 ? clamp(coat, 0.1, 0.9) : 0.0;
     return Lobes(coat, (1.0 - coat) * specular, (1.0 - coat) * (1.0 - specular));
@@ -94,16 +94,16 @@ vec3 bsdf_sample(Bsdf b, vec3 v, out vec3 weight, out float pdf) {
     vec3 l;
     pdf = 0.0;
     weight = vec3(0.0);
-    float under_coat = CLEARCOAT ? 1.0 - coat_fresnel(b, max(dot(b.n_coat, v), 0.0)) : 1.0;
+    float under_coat = CLEARCOAT ? 1.0 - coat_fresnel(b, v) : 1.0;
     if (choice < p.coat) {
         if (b.clearcoat_roughness < MIRROR_ROUGHNESS) {
-            weight = vec3(coat_fresnel(b, max(dot(b.n_coat, v), 0.0)) / p.coat);
+            if (dot(b.n_coat, v) > 0.0) weight = vec3(coat_fresnel(b, v) / p.coat);
             return reflect(-v, b.n_coat);
         }
         l = reflect(-v, ggx_sample_vndf(b.n_coat, v, max(square(b.clearcoat_roughness), 4e-4), xi));
     } else if (choice < p.coat + p.specular) {
         if (is_mirror(b)) {
-            weight = specular_fresnel(b, max(dot(b.n, v), 0.0)) * under_coat / p.specular;
+            if (dot(b.n, v) > 0.0) weight = specular_fresnel(b, dot(b.n, v)) * under_coat / p.specular;
             return reflect(-v, b.n);
         }
         l = reflect(-v, ggx_sample_vndf(b.n, v, b.alpha, xi));
@@ -176,7 +176,7 @@ vec3 shining(Surface s, vec3 v) {
         vec3 from = ray_origin(s.point, ray.dir), target = ray_origin(to, -ray.dir);
         vec3 f = bsdf_eval(s.bsdf, v, ray.dir);
         float other = bsdf_pdf(s.bsdf, lobes_of(s.bsdf, v), v, ray.dir);
-        sum = f * there.emissive * mis(pdf, other) / pdf * any_hit(Ray(from, 0.0, target - from, 1.0));
+        sum = f * there.emissive * there.alpha * mis(pdf, other) / pdf * any_hit(Ray(from, 0.0, target - from, 1.0));
     }
     return sum;
 }
