@@ -15,7 +15,7 @@ import numpy as np
 from glhybrid.errors import LoadError, unknown
 from glhybrid.load import patterns, sceneparts, shapes, sky
 from glhybrid.load.require import ShapeError
-from glhybrid.load.tables import NOT_NEGATIVE, NOT_ZERO, UNIT, Table, between, parse
+from glhybrid.load.tables import LIGHT, NOT_NEGATIVE, NOT_ZERO, PLACE, UNIT, Table, between, parse
 from glhybrid.scene import (
     F32,
     F64,
@@ -120,7 +120,7 @@ class _Builder:
 
     def _environment(self, table: Table) -> Environment:
         kinds = [kind for kind in ("file", "constant", "sky", "studio") if kind in table]
-        intensity = table.number("intensity", 1.0, NOT_NEGATIVE)
+        intensity = table.number("intensity", 1.0, LIGHT)
         rotation = np.radians(table.number("rotation_deg", 0.0))
         if len(kinds) != 1:
             given = " and ".join(kinds) or "none of them"
@@ -134,7 +134,7 @@ class _Builder:
             self.digest.update(hashlib.sha256(path.read_bytes()).digest())
             name = path.name
         elif kinds == ["constant"]:
-            radiance = np.array(table.vector("constant", (0, 0, 0), NOT_NEGATIVE), np.float32).reshape(1, 1, 3)
+            radiance = np.array(table.vector("constant", (0, 0, 0), LIGHT), np.float32).reshape(1, 1, 3)
             name = "constant"
         elif kinds == ["sky"]:
             radiance, name = self._sky(table, intensity, rotation), "sky"
@@ -159,22 +159,21 @@ class _Builder:
     # Materials -----------------------------------------------------------------------------------------------------
 
     def _material(self, table: Table) -> None:
+        table.need("name", "a material needs a name, for objects to use it by")
         name = table.string("name", "")
         if not name:
-            table.fail("a material needs a name, for objects to use it by")
+            table.fail("must not be empty", "name")
         if name in self.material_index:
             table.fail("another material has this name already", "name")
         base = table.raw("base_color")
         if isinstance(base, list) and len(base) == 3:  # opaque colours are commonly written without their alpha
             table.values["base_color"] = [*base, 1.0]
         plain = Material()
-        strength = table.number("emissive_strength", 1.0, NOT_NEGATIVE)
+        strength = table.number("emissive_strength", 1.0, LIGHT)
         made = Material(
             name=name,
             base_color=sceneparts.four(table.vector("base_color", plain.base_color, UNIT)),
-            emissive=sceneparts.three(
-                tuple(strength * x for x in table.vector("emissive", plain.emissive, NOT_NEGATIVE))
-            ),
+            emissive=sceneparts.three(tuple(strength * x for x in table.vector("emissive", plain.emissive, LIGHT))),
             alpha_mode=table.string("alpha_mode", plain.alpha_mode, ("OPAQUE", "MASK", "BLEND")),  # type: ignore[arg-type]
             double_sided=table.boolean("double_sided", plain.double_sided),
             unlit=table.boolean("unlit", plain.unlit),
@@ -251,8 +250,10 @@ class _Builder:
         material = self._material_of(table)
         world = sceneparts.transform(table)
         places = self._places(table)
-        if ("file" in table) == ("shape" in table):
-            table.fail("needs either file or shape")
+        if "file" in table and "shape" in table:
+            table.fail("needs either file or shape, not both")
+        if "file" not in table:
+            table.need("shape", "needs either file or shape")
         if "shape" in table:
             kind, mesh = self._shape(table)
             table.finish()
@@ -283,7 +284,7 @@ class _Builder:
 
     def _places(self, table: Table) -> list[F64]:
         """Offsets in world axes: n along one step, or a block of nx x ny x nz."""
-        step = table.vector("step", (0.0, 0.0, 0.0))
+        step = table.vector("step", (0.0, 0.0, 0.0), PLACE)
         if isinstance(table.raw("count"), list):
             counts = table.vector(
                 "count", (1, 1, 1), (lambda x: x >= 1 and x == int(x), "must be whole and at least 1")

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from glhybrid.load import sky
-from glhybrid.load.tables import NOT_NEGATIVE, NOT_ZERO, POSITIVE, UNIT, Table, between
+from glhybrid.load.tables import LIGHT, NOT_NEGATIVE, PLACE, POSITIVE, SCALE, UNIT, Table, between
 from glhybrid.scene import F32, F64, Camera, Light
 
 
@@ -36,9 +36,8 @@ def parameters(table: Table, defaults: dict[str, Any]) -> dict[str, Any]:
 
 def camera(name: str, table: Table) -> Camera:
     for key in ("eye", "target"):
-        if key not in table:
-            table.fail(f"needs {key} = [x, y, z]")
-    eye, target = three(table.vector("eye", (0, 0, 0))), three(table.vector("target", (0, 0, 0)))
+        table.need(key, f"needs {key} = [x, y, z]")
+    eye, target = (three(table.vector(key, (0, 0, 0), PLACE)) for key in ("eye", "target"))
     up = three(table.vector("up", (0, 1, 0)))
     fov_y = np.radians(table.number("fov_y_deg", 45.0, (lambda x: 0 < x < 180, "must be between 0 and 180")))
     near = table.number("near", 0.01, POSITIVE)
@@ -51,15 +50,13 @@ def camera(name: str, table: Table) -> Camera:
 
 
 def light(table: Table) -> Light:
+    table.need("kind", 'needs kind = "directional", "point" or "spot"')
     kind: Any = table.string("kind", "", ("directional", "point", "spot"))
-    if not kind:
-        table.fail('needs kind = "directional", "point" or "spot"')
     plain = Light(kind)
     fields: dict[str, Any] = {}
     if kind != "directional":
-        if "position" not in table:
-            table.fail(f"a {kind} light needs position = [x, y, z]")
-        fields["position"] = three(table.vector("position", plain.position))
+        table.need("position", f"a {kind} light needs position = [x, y, z]")
+        fields["position"] = three(table.vector("position", plain.position, PLACE))
         fields["radius"] = table.number("radius", 0.0, NOT_NEGATIVE)
         fields["range"] = table.number("range", 0.0, NOT_NEGATIVE)
     else:
@@ -82,8 +79,8 @@ def light(table: Table) -> Light:
         fields["inner_cone"], fields["outer_cone"] = np.radians(inner), np.radians(outer)
     light = Light(
         kind,
-        color=three(table.vector("color", plain.color, NOT_NEGATIVE)),
-        intensity=table.number("intensity", 1.0, NOT_NEGATIVE),
+        color=three(table.vector("color", plain.color, LIGHT)),
+        intensity=table.number("intensity", 1.0, LIGHT),
         name=table.string("name", ""),
         **fields,
     )
@@ -102,7 +99,7 @@ def studio(parent: Table) -> F32:
     """Soft boxes of light around the scene, before a background that runs from floor to ceiling."""
     table = parent.table("studio")
     assert table is not None
-    floor, ceiling = (table.vector(k, (0.1, 0.1, 0.1), NOT_NEGATIVE) for k in ("floor", "ceiling"))
+    floor, ceiling = (table.vector(k, (0.1, 0.1, 0.1), LIGHT) for k in ("floor", "ceiling"))
     boxes = []
     for box in table.tables("boxes"):
         boxes.append(
@@ -110,7 +107,7 @@ def studio(parent: Table) -> F32:
                 azimuth=np.radians(box.number("azimuth_deg", 0.0)),
                 elevation=np.radians(box.number("elevation_deg", 45.0, between(-90, 90))),
                 size=two(np.radians(box.vector("size_deg", (30.0, 30.0), between(0.5, 170)))),
-                radiance=three(box.vector("radiance", (1.0, 1.0, 1.0), NOT_NEGATIVE)),
+                radiance=three(box.vector("radiance", (1.0, 1.0, 1.0), LIGHT)),
                 soft=box.number("soft", 0.2, UNIT),
             )
         )
@@ -122,16 +119,16 @@ def studio(parent: Table) -> F32:
 def transform(table: Table) -> F64:
     """(4, 4) translate x rotate x scale; rotate = Rz Ry Rx: about X first, then Y, then Z."""
     if type(table.raw("scale")) in (int, float):
-        scale = np.full(3, table.number("scale", 1.0, NOT_ZERO))
+        scale = np.full(3, table.number("scale", 1.0, SCALE))
     else:
-        scale = np.array(table.vector("scale", (1.0, 1.0, 1.0), NOT_ZERO))
+        scale = np.array(table.vector("scale", (1.0, 1.0, 1.0), SCALE))
     (cx, cy, cz), (sx, sy, sz) = (f(np.radians(table.vector("rotate_deg", (0, 0, 0)))) for f in (np.cos, np.sin))
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
     about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
     world = np.eye(4)
     world[:3, :3] = about_z @ about_y @ about_x * scale
-    world[:3, 3] = table.vector("translate", (0, 0, 0))
+    world[:3, 3] = table.vector("translate", (0, 0, 0), PLACE)
     return world
 
 

@@ -3,6 +3,7 @@
 `Table` keeps where it is in its file, so that each message reads `FILE: [[object]] 3 "lamp": scale = 0: must not be 0`.
 """
 
+import difflib
 import math
 import tomllib
 from collections.abc import Callable, Sequence
@@ -15,6 +16,10 @@ Check = Callable[[float], bool]
 POSITIVE: tuple[Check, str] = (lambda x: x > 0, "must be greater than 0")
 NOT_NEGATIVE: tuple[Check, str] = (lambda x: x >= 0, "must not be negative")
 NOT_ZERO: tuple[Check, str] = (lambda x: x != 0, "must not be 0")
+# Far beyond any use, and far inside what float32 can square.
+LIGHT: tuple[Check, str] = (lambda x: 0 <= x <= 1e15, "must not be negative, nor greater than 1e15")
+PLACE: tuple[Check, str] = (lambda x: abs(x) <= 1e12, "must be within 1e12 m of the origin")
+SCALE: tuple[Check, str] = (lambda x: 1e-9 <= abs(x) <= 1e9, "must not be 0, and between 1e-9 and 1e9 in size")
 UNIT: tuple[Check, str] = (lambda x: 0 <= x <= 1, "must be between 0 and 1")
 ANY: tuple[Check, str] = (lambda x: True, "")
 
@@ -47,6 +52,13 @@ class Table:
     def fail(self, message: str, key: str | None = None) -> NoReturn:
         given = f"{key} = {_shown(self.values.get(key))}: " if key else ""
         raise LoadError(f"{self.where}: {given}{message}")
+
+    def need(self, key: str, message: str) -> None:
+        """Raises LoadError where a key is absent; a misspelt one is named instead."""
+        if key not in self:
+            others = [k for k in self.values if k not in self.known]
+            near = difflib.get_close_matches(key, others, n=1)
+            self.fail(unknown("key", near[0], [key]) if near else message)
 
     def finish(self) -> None:
         """Raises LoadError for the first key that is not one of those read so far."""
