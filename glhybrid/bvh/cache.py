@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glhybrid.bvh.blas import SMALL, Blas, build_blas, threads_available
 from glhybrid.jit import cache_dir
@@ -41,6 +42,8 @@ def load_or_build(
     sphere_triangle: U32 | None = None,
     sphere_geometry: U32 | None = None,
     max_leaf: int = 4,
+    presplit: float = 0.0,
+    whole: NDArray[np.bool_] | None = None,
     threads: int | None = None,
     folder: Path | None = None,
 ) -> Blas:
@@ -53,13 +56,13 @@ def load_or_build(
     if folder is None and os.environ.get("GLHYBRID_CACHE") != "off":
         folder = cache_dir() / "bvh"
     if folder is None or len(position) <= SMALL:
-        return build_blas(*given, max_leaf=max_leaf, threads=threads)
+        return build_blas(*given, max_leaf=max_leaf, presplit=presplit, whole=whole, threads=threads)
     workers = threads_available() if threads is None else threads
-    key = content_key(given, {"max_leaf": max_leaf}, workers)
+    key = content_key((*given, whole), {"max_leaf": max_leaf, "presplit": presplit}, workers)
     path = folder / f"{key}.blas"
     blas = read(path, key, started, workers)
     if blas is None:
-        blas = build_blas(*given, max_leaf=max_leaf, threads=threads)
+        blas = build_blas(*given, max_leaf=max_leaf, presplit=presplit, whole=whole, threads=threads)
         write(path, key, blas, workers)
     return blas
 

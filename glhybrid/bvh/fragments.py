@@ -9,6 +9,7 @@ optimised for what is traced, unions are exact, and no float box is touched afte
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glhybrid.scene import F32, F64, U16, U32
 
@@ -34,15 +35,19 @@ def make_grid(low: F64, high: F64, pad: float) -> tuple[F32, F32]:
     return corner, np.nextafter(step.astype(np.float32), np.float32(np.inf))
 
 
-def box_fragments(low: F64, high: F64, grid_min: F32, grid_step: F32, first_id: int = 0) -> U16:
-    """(F, 8) fragments of boxes (F, 3), padded already; rounded outward with a twentieth of a cell to spare."""
-    origin, step = grid_min.astype(np.float64), grid_step.astype(np.float64)
+def quantise(low: F64, high: F64, ids: NDArray[np.integer]) -> U16:
+    """(F, 8) fragments of boxes (F, 3) in cells, padded already; rounded outward, a twentieth of a cell to spare."""
     fragments = np.empty((len(low), 8), np.uint16)
-    fragments[:, :3] = 65535 - np.clip(np.floor((low - origin) / step - 0.05), 0, 65535)
-    fragments[:, 3:6] = np.clip(np.ceil((high - origin) / step + 0.05), 0, 65535)
-    ids = np.arange(first_id, first_id + len(low))
+    fragments[:, :3] = 65535 - np.clip(np.floor(low - 0.05), 0, 65535)
+    fragments[:, 3:6] = np.clip(np.ceil(high + 0.05), 0, 65535)
     fragments[:, 6], fragments[:, 7] = ids & 65535, ids >> 16
     return fragments
+
+
+def box_fragments(low: F64, high: F64, grid_min: F32, grid_step: F32, first_id: int = 0) -> U16:
+    """(F, 8) fragments of boxes (F, 3), padded already, with ids in order."""
+    origin, step = grid_min.astype(np.float64), grid_step.astype(np.float64)
+    return quantise((low - origin) / step, (high - origin) / step, np.arange(first_id, first_id + len(low)))
 
 
 def identity(fragments: U16) -> U32:
