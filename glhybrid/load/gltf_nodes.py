@@ -6,6 +6,7 @@ import numpy as np
 
 from glhybrid.load.gltf_accessors import AccessorReader
 from glhybrid.load.gltf_document import Document, Item
+from glhybrid.load.pose import trs_matrices, world_matrices
 from glhybrid.scene import F64, Camera, Light, Node
 
 MAX_INSTANCES = 1 << 22  # each is an object of some hundred bytes
@@ -27,8 +28,8 @@ def read_hierarchy(doc: Document) -> Hierarchy:
     children = [item.indices("children", "nodes") for item in items]
     parent = _parents(items, children)
     nodes = tuple(_node(item, p) for item, p in zip(items, parent, strict=True))
-    order = _parents_first(items, parent, children)
-    world = _world_matrices(nodes, order)
+    _check_loops(items, parent, children)
+    world = world_matrices(nodes)
     bad = ~np.isfinite(world).all(axis=(1, 2))
     if bad.any():
         raise items[int(np.argmax(bad))].fail("its world matrix is not finite: scales or positions are too large")
@@ -45,18 +46,16 @@ def _parents(items: list[Item], children: list[tuple[int, ...]]) -> list[int]:
     return parent
 
 
-def _parents_first(items: list[Item], parent: list[int], children: list[tuple[int, ...]]) -> list[list[int]]:
-    """Nodes by depth. A node in a loop, or under one, has no root above it and so is never reached."""
-    level = [i for i, p in enumerate(parent) if p == -1]
-    levels = []
-    while level:
-        levels.append(level)
-        level = [child for i in level for child in dict.fromkeys(children[i])]
-    reached = {i for level in levels for i in level}
-    if len(reached) < len(items):
-        first = next(i for i in range(len(items)) if i not in reached)
+def _check_loops(items: list[Item], parent: list[int], children: list[tuple[int, ...]]) -> None:
+    """A node in a loop, or under one, has no root above it, so a walk from the roots never meets it."""
+    met = set(stack := [i for i, p in enumerate(parent) if p == -1])
+    while stack:
+        below = set(children[stack.pop()]) - met
+        met |= below
+        stack += below
+    if len(met) < len(items):
+        first = next(i for i in range(len(items)) if i not in met)
         raise items[first].fail("is its own ancestor or under a node that is: the node hierarchy has a loop")
-    return levels
 
 
 def _node(item: Item, parent: int) -> Node:
@@ -79,50 +78,6 @@ def _node(item: Item, parent: int) -> Node:
         rotation = tuple(float(r) / length for r in rotation)
     translation, scale = item.numbers("translation", 3, (0.0,) * 3), item.numbers("scale", 3, (1.0,) * 3)
     return Node(item.name, parent, translation=translation, rotation=rotation, scale=scale, morph_weights=weights)
-
-
-def _world_matrices(nodes: tuple[Node, ...], levels: list[list[int]]) -> F64:
-    if not nodes:
-        return np.zeros((0, 4, 4))
-    local = trs_matrices(
-        np.array([n.translation for n in nodes]),
-        np.array([n.rotation for n in nodes]),
-        np.array([n.scale for n in nodes]),
-    )
-    for i, node in enumerate(nodes):
-        if node.matrix is not None:
-            local[i] = node.matrix
-    world = local.copy()
-    parent = np.array([n.parent for n in nodes])
-    with np.errstate(over="ignore", invalid="ignore"):
-        for level in levels[1:]:
-            world[level] = world[parent[level]] @ local[level]
-    return world
-
-
-def trs_matrices(translation: F64, rotation: F64, scale: F64) -> F64:
-    """(N, 4, 4) T R S of (N, 3) translations, (N, 4) unit quaternions x y z w and (N, 3) scales."""
-    x, y, z, w = np.moveaxis(np.asarray(rotation, np.float64), 1, 0)
-    matrix = np.zeros((len(x), 4, 4))
-    matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 0, 2] = (
-        1 - 2 * (y * y + z * z),
-        2 * (x * y - z * w),
-        2 * (x * z + y * w),
-    )
-    matrix[:, 1, 0], matrix[:, 1, 1], matrix[:, 1, 2] = (
-        2 * (x * y + z * w),
-        1 - 2 * (x * x + z * z),
-        2 * (y * z - x * w),
-    )
-    matrix[:, 2, 0], matrix[:, 2, 1], matrix[:, 2, 2] = (
-        2 * (x * z - y * w),
-        2 * (y * z + x * w),
-        1 - 2 * (x * x + y * y),
-    )
-    matrix[:, :3, :3] *= scale[:, None, :]
-    matrix[:, :3, 3] = translation
-    matrix[:, 3, 3] = 1.0
-    return matrix
 
 
 def _drawn(doc: Document, parent: list[int], children: list[tuple[int, ...]]) -> tuple[int, ...]:
