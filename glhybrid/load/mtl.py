@@ -5,6 +5,7 @@ numbers are linear. Ns is a Blinn-Phong exponent: alpha = sqrt(2 / (Ns + 2)) (Wa
 Ks says only whether there is a highlight at all, whose strength follows from ior. Pr and Pm (the PBR extension) win.
 """
 
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -234,14 +235,11 @@ class Files:
             data = self.read(folder, name, owner)
             if data is None:
                 raise LoadError(f"{owner}: there is no file {path}; put it there or remove the map from the material")
-            remark = f"{name}"
-            self._images[path] = load_image(data, f"{owner} ({name})", lambda lost: self.report.warn(lost, remark))
-            self._images[path] = Image(self._images[path].texels, name.name)
+            image = load_image(data, f"{owner} ({name})", lambda lost: self.report.warn(lost, str(name)))
+            self._images[path] = Image(image.texels, name.name)
         return self._images[path]
 
     def _check_inside(self, path: Path, name: Path, owner: str) -> None:
-        import os
-
         inside = (
             os.path.relpath(os.path.normpath(path), os.path.normpath(self.model.parent)).split(os.sep)[0] != os.pardir
         )

@@ -139,7 +139,7 @@ def test_mtl_numbers(tmp_path: Path) -> None:
     assert red.base_color == (0.5, 0.25, 0.125, 0.5) and red.alpha_mode == "BLEND" and red.emissive == (1, 2, 3)
     assert red.roughness == pytest.approx((2 / 200) ** 0.25) and red.ior == 1.33 and red.specular == 1.0
     assert (matte.specular, matte.roughness) == (0.0, 1.0) and (gold.roughness, gold.metallic) == (0.3, 1.0)
-    assert unknown == unknown and unknown.base_color == Material().base_color
+    assert (unknown.base_color, unknown.roughness) == (Material().base_color, 1.0)
     assert scene.warnings == ('material "unknown": is in no material library: drawn in white',)
 
 
