@@ -34,7 +34,7 @@ class MeshData:
 class Geometry:
     """What is traced and drawn. Rows of `triangles` are the ids that hits carry.
 
-    vertices (V, 8) float32: position, u; normal, v (a sphere: centre, 0; radius, 0, 0, 0). triangles (T, 4) uint32: three
+    vertices (V, 8) float32: position, u; normal, v (a sphere: centre, 0; radius, 0, 0, 0). triangles (T, 4): three
     rows of vertices, geometry. tangents (V, 4) float32, attributes (V, 4) uint32 (second UV, colour as halves) or None.
     Instances: mesh (I,), world_from_object (I, 4, 4) float64, scene_id (I,), first_record (I,).
     """
@@ -93,7 +93,7 @@ def _flattenable(scene: Scene, mesh: int, world_from_object: F64) -> bool:
 
 
 def build(scene: Scene, levels: int | str = "auto", *, tangents: bool = True, attributes: bool = True) -> Geometry:
-    """Arrays, records and trees of a scene. Triangles with a non-finite vertex or without area are dropped and counted."""
+    """Arrays, records and trees of a scene. Triangles with a non-finite vertex or no area are dropped and counted."""
     chosen, why = choose_levels(scene, levels)
     builder = _Builder(scene, tangents, attributes)
     if chosen == 1:
@@ -145,7 +145,9 @@ class _Builder:
             mirrored = np.linalg.det(linear) < 0
             if tangent is not None:
                 direction = _unit(tangent[:, :3] @ linear.T.astype(np.float32))
-                tangent = np.concatenate([direction, tangent[:, 3:] * (-1 if mirrored else 1)], axis=1, dtype=np.float32)
+                tangent = np.concatenate(
+                    [direction, tangent[:, 3:] * (-1 if mirrored else 1)], axis=1, dtype=np.float32
+                )
             if mirrored:
                 index = index[:, ::-1]  # front faces stay counter-clockwise
         keep = solid(position, index)
@@ -282,7 +284,8 @@ class _Builder:
             if (row, materials) not in records:
                 records[row, materials] = len(self.records)
                 self.records += [
-                    (self.hit_group(p, m), layout.CONSTANTS["ID_NONE"]) for p, m in zip(mesh.primitives, materials, strict=True)
+                    (self.hit_group(p, m), layout.CONSTANTS["ID_NONE"])
+                    for p, m in zip(mesh.primitives, materials, strict=True)
                 ]
             self.place(row, instance.world_from_object, number, records[row, materials])
 

@@ -28,7 +28,10 @@ class GpuScene:
         self.draw_records: list[tuple[tuple[int, int], list[tuple[int, int, int, int]]]] = []
         nodes, slots, roots = bvh.pack([m.blas for m in geometry.meshes])
         # Slots name triangles by their place in the mesh; hits carry the row of the whole table.
-        starts = np.concatenate([np.full(len(m.blas.slots), m.first_triangle, np.uint32) for m in geometry.meshes] or [np.zeros(0, np.uint32)])
+        starts = np.concatenate(
+            [np.full(len(m.blas.slots), m.first_triangle, np.uint32) for m in geometry.meshes]
+            or [np.zeros(0, np.uint32)]
+        )
         slots = slots.copy()
         slots[:, 3] += starts
         slots[:, 7] |= self._slot_flags(slots[:, 7])
@@ -65,7 +68,9 @@ class GpuScene:
 
     @property
     def image_bytes(self) -> int:
-        return sum(t.width * t.height * t.layers * t.components for t in self._owned if isinstance(t, moderngl.TextureArray))
+        return sum(
+            t.width * t.height * t.layers * t.components for t in self._owned if isinstance(t, moderngl.TextureArray)
+        )
 
     def bvh_stats(self) -> dict[str, Any]:
         """What the receipt says of the trees. sah_cost: mean over meshes, weighted by triangles."""
@@ -192,7 +197,9 @@ class GpuScene:
                 single |= groups[:, 3] == 1
                 double |= groups[:, 3] == 0
             ask |= single & double  # instances differ: each hit looks
-            tables.append(np.where(ask, bits["SLOT_ASK"], np.where(single, bits["SLOT_SINGLE_SIDED"], 0)).astype(np.uint32))
+            tables.append(
+                np.where(ask, bits["SLOT_ASK"], np.where(single, bits["SLOT_SINGLE_SIDED"], 0)).astype(np.uint32)
+            )
         starts = np.cumsum([0] + [len(t) for t in tables[:-1]])
         rows = geometry + np.repeat(starts, [len(m.blas.slots) for m in self.geometry.meshes]) if tables else geometry
         return np.concatenate([*tables, np.zeros(0, np.uint32)])[rows]
@@ -225,8 +232,10 @@ def light_rows(lights: tuple[Light, ...], origin: F64) -> np.ndarray:
 def material_rows(materials: tuple[Material, ...], pages: textures.TexturePages | None) -> np.ndarray:
     """Rows of layout Material."""
     rows = np.zeros(max(len(materials), 1), layout.dtype("Material"))
-    plain = ("base_color", "emissive", "metallic", "specular_color", "roughness", "specular", "alpha_cutoff", "normal_scale",
-             "occlusion_strength", "clearcoat", "clearcoat_roughness", "clearcoat_normal_scale", "transmission", "unlit")  # fmt: skip
+    plain = (
+        "base_color", "emissive", "metallic", "specular_color", "roughness", "specular", "alpha_cutoff", "normal_scale",
+        "occlusion_strength", "clearcoat", "clearcoat_roughness", "clearcoat_normal_scale", "transmission", "unlit",
+    )  # fmt: skip
     for row, material in zip(rows, materials, strict=False):
         for name in plain:
             row[name] = getattr(material, name)
@@ -239,4 +248,3 @@ def material_rows(materials: tuple[Material, ...], pages: textures.TexturePages 
                 row["texture"][k] = pages.row_of[id(texture), slot in SRGB_SLOTS]
                 row["texture_slots"] |= 1 << k
     return rows
-

@@ -195,7 +195,7 @@ def glsl_header() -> str:
 
 
 def columns(matrix: Any) -> Any:
-    """(..., 4, 4) or (..., 3, 4) row-major matrices as GLSL columns (..., 4, 4) float32: the only transpose there is."""
+    """(..., 4, 4) or (..., 3, 4) row-major matrices as GLSL columns (..., 4, 4) float32: the one transpose."""
     matrix = np.asarray(matrix)
     out = np.zeros((*matrix.shape[:-2], 4, 4), np.float32)
     out[..., :, : matrix.shape[-2]] = np.swapaxes(matrix, -1, -2)

@@ -48,7 +48,10 @@ class Features:
     def defines(self) -> dict[str, int]:
         """Names as GLSL knows them, with values."""
         values = {f.name.upper(): int(getattr(self, f.name)) for f in fields(self)}
-        return {name if name.startswith(("BVH_", "TEXTURE_SLOTS")) else f"USE_{name}": value for name, value in values.items()}
+        return {
+            name if name.startswith(("BVH_", "TEXTURE_SLOTS")) else f"USE_{name}": value
+            for name, value in values.items()
+        }
 
     replace = replace
 
@@ -73,9 +76,7 @@ def used_materials(scene: Scene) -> list[int]:
 def reflective(material: Material) -> bool:
     """Whether a mirror ray is worth its cost anywhere on this material: at roughness 1 none is spent."""
     coated = material.clearcoat > 0 and material.clearcoat_roughness < 1
-    return not material.unlit and (
-        material.roughness < 1 or "metallic_roughness" in material.textures or coated
-    )
+    return not material.unlit and (material.roughness < 1 or "metallic_roughness" in material.textures or coated)
 
 
 def find(scene: Scene, settings: Settings) -> Needs:
@@ -86,7 +87,9 @@ def find(scene: Scene, settings: Settings) -> Needs:
     textures = any(m.textures for m in materials)
     normal_map = any(m.textures.keys() & {"normal", "clearcoat_normal"} for m in materials)
     uv1 = any(t.uv_set == 1 for m in materials for t in m.textures.values())
-    environment = scene.environment is not None and scene.environment.intensity > 0 and bool(scene.environment.radiance.any())
+    environment = (
+        scene.environment is not None and scene.environment.intensity > 0 and bool(scene.environment.radiance.any())
+    )
     lit = bool(scene.lights) and not all(m.unlit for m in materials)
     reference = settings.reflections == "reference"
     mirrors = any(reflective(m) for m in materials)
@@ -121,7 +124,9 @@ def find(scene: Scene, settings: Settings) -> Needs:
             reason = "the scene has no light" if not lit else f"shadows = {settings.shadows}"
             skipped.append(f"shadow pass and its images: {reason}")
         if not reflections:
-            reason = "no material is smoother than roughness 1" if not mirrors else f"reflections = {settings.reflections}"
+            reason = (
+                "no material is smoother than roughness 1" if not mirrors else f"reflections = {settings.reflections}"
+            )
             skipped.append(f"reflect pass and its image: {reason}")
     for name, present, reason in (
         ("alpha tests in raster and rays", features.alpha_test, "no material cuts out"),

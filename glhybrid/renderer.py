@@ -8,7 +8,6 @@ import numpy as np
 
 from glhybrid import __version__, geometry, layout, plan
 from glhybrid.context import Context, open_context
-from glhybrid.errors import SettingError
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.image import Frame, check_aovs
 from glhybrid.passes.aov import Aov
@@ -32,8 +31,8 @@ Progress = Callable[[str, int, int], None]
 class Renderer:
     """Renders scenes on one device.
 
-    device: auto, gpu, software, egl:N, cuda:N or osmesa. A scene's trees, buffers and programs are kept for the next frame
-    of the same scene. Raises DeviceError where there is no usable OpenGL 4.3.
+    device: auto, gpu, software, egl:N, cuda:N or osmesa. A scene's trees, buffers and programs are kept for the next
+    frame of the same scene. Raises DeviceError where there is no usable OpenGL 4.3.
     """
 
     def __init__(self, device: str = "auto", context: Context | None = None) -> None:
@@ -119,7 +118,9 @@ class Staged:
         )
         features = self.plan.features
         if upload is None:
-            data = geometry.build(scene, self.plan.levels, tangents=features.tangents, attributes=features.extra_attributes)
+            data = geometry.build(
+                scene, self.plan.levels, tangents=features.tangents, attributes=features.extra_attributes
+            )
             upload = GpuScene(context, scene, data, features)
         self.upload = upload
         empty = not len(upload.geometry.meshes)
@@ -138,7 +139,9 @@ class Staged:
         upload.resources.update(self.sky.resources, Frame=self.frame_buffer)
         self.targets = Targets(context, size)
         trace = self.plan.primary == "trace" and not empty
-        self.gbuffer = GBufferTrace(shaders, upload, features) if trace else GBufferRaster(context, shaders, upload, features)
+        self.gbuffer = (
+            GBufferTrace(shaders, upload, features) if trace else GBufferRaster(context, shaders, upload, features)
+        )
         self.shadow = Shadow(shaders, upload, features) if features.visibility else None
         self.reflect = Reflect(shaders, upload, features) if features.reflections else None
         reference = settings.reflections == "reference"
@@ -308,4 +311,6 @@ def _translation(offset: np.ndarray) -> np.ndarray:
 def _flip(image: Any) -> np.ndarray:
     """A float image as (H, W, C) float32 with row 0 at the top."""
     kind = np.float32 if image.dtype == "f4" else np.float16
-    return np.frombuffer(image.read(), kind).reshape(image.height, image.width, image.components)[::-1].astype(np.float32)
+    return (
+        np.frombuffer(image.read(), kind).reshape(image.height, image.width, image.components)[::-1].astype(np.float32)
+    )

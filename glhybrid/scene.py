@@ -25,7 +25,7 @@ LightKind = Literal["directional", "point", "spot"]
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """Texels as the file has them: (H, W, 4) uint8, row 0 at the top. Whether they are sRGB depends on the slot they fill."""
+    """Texels as the file has them: (H, W, 4) uint8, row 0 at the top. Their slot says whether they are sRGB."""
 
     texels: U8
     name: str = ""
@@ -193,7 +193,8 @@ class Camera:
     """A view. world_from_view: (4, 4) float64, rigid, looking down -Z. Perspective if fov_y > 0, else orthographic.
 
     fov_y: vertical, radians, whatever the image's shape; but with fov_short it spans the shorter side, so that what
-    fits stays in view in tall images too (cameras made to frame something). xmag, ymag: half extents in metres (orthographic); xmag 0 =
+    fits stays in view in tall images too (cameras made to frame something).
+    xmag, ymag: half extents in metres (orthographic); xmag 0 =
     from the image's shape. near, far clip only what the raster sees; far 0 = infinite.
     """
 
@@ -216,7 +217,7 @@ class Camera:
         near: float = 0.01,
         name: str = "main",
     ) -> "Camera":
-        """A camera at eye that looks at target. An up along the view direction is replaced by the least aligned axis."""
+        """A camera at eye that looks at target. An up along the view is replaced by the least aligned axis."""
         back = np.asarray(eye, np.float64) - np.asarray(target, np.float64)
         back /= np.linalg.norm(back)
         right = np.cross(np.asarray(up, np.float64), back)

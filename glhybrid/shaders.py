@@ -100,7 +100,7 @@ class Program:
                 self._bind[member] = self._block_binder(blocks)
                 blocks += 1
             elif isinstance(handle, moderngl.Uniform):
-                kind = handle.gl_type
+                kind = handle.gl_type  # type: ignore[attr-defined]  # missing in moderngl's stub
                 if kind in _SAMPLER_TYPES:
                     context.raw.set_sampler(program, member, samplers)
                     self._bind[member] = self._sampler_binder(samplers)
@@ -153,7 +153,7 @@ class Program:
 
 
 class Shaders:
-    """All programs of one context. extra: folders searched after glsl/, for shaders that are not part of the package."""
+    """All programs of one context. extra: folders searched after glsl/, for shaders outside the package."""
 
     def __init__(self, context: Context, extra: tuple[Path, ...] = ()) -> None:
         self._context = context

@@ -14,14 +14,15 @@ from glhybrid.scene import SRGB_SLOTS, U8, U16, Image, Material, Texture
 LARGEST_PAGE = 16384  # texels across: what OpenGL 4.3 drivers offer
 
 _DECODE = np.array(
-    [(c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4) * 65535 + 0.5 for c in np.arange(256) / 255], np.uint16
+    [(c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4) * 65535 + 0.5 for c in np.arange(256) / 255],
+    np.uint16,
 )
 _WRAP = {"repeat": "WRAP_REPEAT", "clamp": "WRAP_CLAMP", "mirror": "WRAP_MIRROR"}
 
 
 @dataclass(frozen=True, eq=False)
 class TexturePages:
-    """pages (P, S, S, 4) uint8; levels (L, 4) uint32: x, y, width | height << 16, page; textures: rows of layout Texture.
+    """pages (P, S, S, 4) uint8; levels (L, 4) uint32: x, y, width | height << 16, page; textures: rows of Texture.
 
     row_of: the row of a (texture, is sRGB) pair.
     """
@@ -73,11 +74,12 @@ def pack(materials: tuple[Material, ...]) -> TexturePages:
 
 
 def _mip_chain(image: Image, srgb: bool, mipped: bool) -> list[U8]:
-    """Levels by a 2x2 box, averaged as light (sRGB images are decoded first). An odd last row or column joins its neighbour."""
+    """Levels by a 2x2 box, averaged as light (sRGB is decoded first). An odd last row or column is left out."""
     texels = image.texels
     if max(texels.shape[:2]) > LARGEST_PAGE:
         raise LoadError(
-            f'image "{image.name}" is {texels.shape[1]}x{texels.shape[0]}, the limit is {LARGEST_PAGE} texels across: scale it down'
+            f'image "{image.name}" is {texels.shape[1]}x{texels.shape[0]}, '
+            f"the limit is {LARGEST_PAGE} texels across: scale it down"
         )
     chain = [texels]
     if not mipped:

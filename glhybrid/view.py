@@ -12,8 +12,8 @@ from glhybrid.scene import F64, Camera, Scene
 class View:
     """A camera on an image of a given size. All float64; world_from_* are relative to `origin`.
 
-    origin: the point of the world that is zero this frame. It is the eye, snapped to a coarse grid: coordinates near the
-    eye keep float32's full precision however far from zero the scene lies, and do not change under small motion.
+    origin: the point of the world that is zero this frame. It is the eye, snapped to a coarse grid: coordinates near
+    it keep float32's full precision however far from zero the scene lies, and do not change under small motion.
     """
 
     camera: Camera
@@ -69,7 +69,9 @@ def choose_camera(scene: Scene, camera: int | str | Camera | None) -> Camera:
         return camera
     if camera is None:
         camera = 0
-    if isinstance(camera, int) or (isinstance(camera, str) and camera.lstrip("-").isdigit() and not any(c.name == camera for c in scene.cameras)):
+    if isinstance(camera, int) or (
+        isinstance(camera, str) and camera.lstrip("-").isdigit() and not any(c.name == camera for c in scene.cameras)
+    ):
         index = int(camera)
         if 0 <= index < len(scene.cameras):
             return scene.cameras[index]

@@ -1,7 +1,7 @@
 """The G-buffer: which instance and triangle a pixel shows. Rasterised, or traced where a device rasterises slowly.
 
-Chosen: ids only, and depth for the raster itself; points, normals and materials are rebuilt from the ids by the same code
-as at ray hits. Rejected: a fat G-buffer; an H100 takes 0.3 ms for every 4 bytes a pixel, and any format short of
+Chosen: ids only, and depth for the raster itself; points, normals and materials are rebuilt from the ids by the same
+code as at ray hits. Rejected: a fat G-buffer; an H100 takes 0.3 ms for every 4 bytes a pixel, and any format short of
 float32 costs accuracy that the tracer then has to live with.
 """
 
@@ -56,7 +56,9 @@ class GBufferRaster:
             data = np.zeros(len(spheres), [("sphere", np.float32, 4), ("draw", np.uint32, 2)])
             data["sphere"], data["draw"] = [s[0] for s in spheres], [s[1] for s in spheres]
             buffer = self._own(gl.buffer(data))
-            self._spheres = gl.vertex_array(self._sphere_program.program, [(buffer, "4f 2u4/i", "in_sphere", "in_draw")])
+            self._spheres = gl.vertex_array(
+                self._sphere_program.program, [(buffer, "4f 2u4/i", "in_sphere", "in_draw")]
+            )
             self._owned.append(self._spheres)
             self._sphere_count = len(spheres)
 
@@ -98,7 +100,9 @@ class GBufferRaster:
         self._owned.clear()
 
 
-def _batches(geometry: Geometry) -> tuple[list[tuple[tuple[bool, bool, bool], list[tuple[int, ...]]]], list[tuple[int, int]]]:
+def _batches(
+    geometry: Geometry,
+) -> tuple[list[tuple[tuple[bool, bool, bool], list[tuple[int, ...]]]], list[tuple[int, int]]]:
     """Indirect commands by raster state, and the (instance, first triangle) pairs that they index.
 
     Blended surfaces are not drawn: the composite pass meets them along the pixel's ray, in order.
@@ -115,7 +119,7 @@ def _batches(geometry: Geometry) -> tuple[list[tuple[tuple[bool, bool, bool], li
         instances = list(members)
         mesh = geometry.meshes[mesh_row]
         runs: list[list[int]] = []  # state index, first triangle, count
-        run_states = []
+        run_states: list[tuple[int, int]] = []
         for number, (first, count) in enumerate(mesh.geometries):
             state = group_state[geometry.records[first_record + number, 0]]
             if count == 0 or state[0] == CONSTANTS["ANY_HIT_TINT"]:
@@ -130,7 +134,9 @@ def _batches(geometry: Geometry) -> tuple[list[tuple[tuple[bool, bool, bool], li
             pairs += [(i, first) for i in instances]
             masked, single = state[0] == CONSTANTS["ANY_HIT_MASK"], bool(state[1])
             # count, instances, first index, base vertex, base instance
-            commands.setdefault((masked, single, flipped and single), []).append((3 * count, len(instances), 3 * first, 0, base))
+            commands.setdefault((masked, single, flipped and single), []).append(
+                (3 * count, len(instances), 3 * first, 0, base)
+            )
     return sorted(commands.items()), pairs
 
 

@@ -100,6 +100,8 @@ def environment_cdf(environment: Environment) -> F32:
     table = np.ones((height + 1, max(width, height)))
     rows = weight.sum(1)
     along = np.cumsum(weight, 1)
-    table[:height, :width] = np.where(rows[:, None] > 0, along / np.maximum(rows[:, None], 1e-300), np.arange(1, width + 1) / width)
+    table[:height, :width] = np.where(
+        rows[:, None] > 0, along / np.maximum(rows[:, None], 1e-300), np.arange(1, width + 1) / width
+    )
     table[height, :height] = np.cumsum(rows) / max(rows.sum(), 1e-300)
     return table.astype(np.float32)
