@@ -29,6 +29,12 @@ def count(full: int) -> int:
     return int(np.clip(full * SCALE / 100, min(1000, full), full))
 
 
+def say(line: str) -> None:
+    """A figure for the record, in full runs (give pytest -s)."""
+    if SCALE > 1:
+        print(line, flush=True)
+
+
 # --- scenes --------------------------------------------------------------------------------------------------------
 
 

@@ -4,8 +4,6 @@ Woop, Benthin & Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1) 2013, on
 leave out, on vertices. GLHYBRID_TEST_SCALE=100 is the full run: 10^6 rays of each kind and place.
 """
 
-import sys
-from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -58,18 +56,10 @@ def _aimed(aim: str, vertex: F64, index: U32, n: int, rng: np.random.Generator) 
     return Rays.make(origin, ray.unit(target - origin))
 
 
-@pytest.fixture(scope="module")
-def report() -> Iterator[list[str]]:
-    lines: list[str] = []
-    yield lines
-    if ray.SCALE > 1:
-        print("\n".join(["", *lines]), file=sys.stderr)
-
-
 @pytest.mark.parametrize("levels", [1, 2])
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("body", BODIES)
-def test_no_ray_leaves_a_closed_body(context: "Context", report: list[str], body: str, place: str, levels: int) -> None:
+def test_no_ray_leaves_a_closed_body(context: "Context", body: str, place: str, levels: int) -> None:
     rng = np.random.default_rng(12)
     scene, vertex = _scene(body, place)
     with Tracer(context, scene, levels, origin=np.round(vertex.mean(0) * 64) / 64) as tracer:
@@ -81,7 +71,7 @@ def test_no_ray_leaves_a_closed_body(context: "Context", report: list[str], body
                 found = tracer.trace(rays)
                 total += len(rays)
                 leaked += int((~found.hit | ~found.blocked).sum())
-            report.append(f"{body:10} {place:9} levels {levels} {aim:6} {leaked} of {total}")
+            ray.say(f"{body:10} {place:9} levels {levels} {aim:6} {leaked} of {total}")
             assert leaked == 0, (aim, total)
 
 
@@ -89,7 +79,7 @@ def test_no_ray_leaves_a_closed_body(context: "Context", report: list[str], body
 @pytest.mark.parametrize(
     ("place", "levels"), [("near", 1), ("near", 2), ("moved far", 1), ("moved far", 2), ("baked far", 1)]
 )
-def test_the_control_leaks(context: "Context", report: list[str], body: str, place: str, levels: int) -> None:
+def test_the_control_leaks(context: "Context", body: str, place: str, levels: int) -> None:
     """The same rays through the test that is not watertight, so that the test above is known to see a leak."""
     rng = np.random.default_rng(12)
     scene, vertex = _scene(body, place)
@@ -97,7 +87,7 @@ def test_the_control_leaks(context: "Context", report: list[str], body: str, pla
         n = ray.count(100_000)
         for aim in ("vertex", "edge"):
             found = tracer.trace(_aimed(aim, vertex - tracer.origin, BODIES[body][1], n, rng))
-            report.append(
+            ray.say(
                 f"{body:10} {place:9} levels {levels} {aim:6} {(~found.hit).mean():.2%} leak through Moeller-Trumbore"
             )
             assert (~found.hit).mean() > 0.01 and (~found.blocked).mean() > 0.01

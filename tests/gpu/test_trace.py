@@ -4,8 +4,7 @@ Six kinds of rays over procedural meshes, the Stanford bunny and Sponza, in one 
 GLHYBRID_TEST_SCALE=100 is the full run.
 """
 
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -85,18 +84,8 @@ SCENES: dict[str, tuple[Callable[[Path], Scene], int, int]] = {  # scene, levels
 }
 
 
-@pytest.fixture(scope="module")
-def report() -> Iterator[list[str]]:
-    lines: list[str] = []
-    yield lines
-    if ray.SCALE > 1:
-        print("\n".join(["", *lines]), file=sys.stderr)
-
-
 @pytest.mark.parametrize("name", SCENES)
-def test_hits_are_those_of_embree_and_of_float64(
-    context: "Context", models: Path, report: list[str], name: str
-) -> None:
+def test_hits_are_those_of_embree_and_of_float64(context: "Context", models: Path, name: str) -> None:
     pytest.importorskip("embreex")
     make, levels, full = SCENES[name]
     rng = np.random.default_rng(sum(map(ord, name)))
@@ -122,7 +111,7 @@ def test_hits_are_those_of_embree_and_of_float64(
         assert set(sets) == set(KINDS)
         for kind, rays in sets.items():
             verdict = oracles.compare(tracer, rays, tracer.trace(rays), embree, corners, rows)
-            report.append(f"{name:18} {kind:8} {verdict}")
+            ray.say(f"{name:18} {kind:8} {verdict}")
             assert verdict.wrong == 0, (kind, verdict)
             assert verdict.hits > 0, (kind, verdict)
             # What float32 may be excused for is rare; but two levels round a ray once more, into each instance's space,
