@@ -48,8 +48,8 @@ uvec4 value_of(Pixel p) {
     if (USE_AOV == AOV_MATERIAL_ID) return uvec4(s.material);
     if (USE_AOV == AOV_TRIANGLE_ID) return uvec4(p.hit.triangle);
     // AOV_MOTION: to where the point was a frame ago, pixels, y down.
-    vec4 now = frame.clip_from_world * vec4(s.point.position, 1.0);
-    vec4 before = frame.previous_clip_from_world * vec4(s.point.position, 1.0);
+    precise vec4 now = frame.clip_from_world * vec4(s.point.position, 1.0);
+    precise vec4 before = frame.previous_clip_from_world * vec4(s.point.position, 1.0);
     vec2 moved = (before.xy / before.w - now.xy / now.w) * 0.5 * vec2(frame.size_px);
     return bits(vec3(moved.x, -moved.y, 0.0));
 #endif
