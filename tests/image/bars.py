@@ -22,4 +22,13 @@ BARS = {
     "ggx": Bar(1e-3, "issue 2; measured 2e-5 at roughness 0.25, where D is steep"),
     "good share": Bar(0.9999, "issue 2: share of unmasked pixels within the bar"),
     "masked share": Bar(0.25, "edges are 1 px to either side of an outline; more masked would be hiding"),
+    # test_brdf.py
+    "brdf value": Bar(2e-3, "float32 at alpha 1e-3, where 1 ulp of N.H is 1e-4 of D; share of value + 1e-3"),
+    "density sum": Bar(0.01, "midpoint rule over 240 x 480 directions of a lobe 1e-2 sr small"),
+    "chi-square": Bar(
+        4.0, "standard deviations; 18 tests: one in 30,000 runs would fail by chance, with fixed seeds none"
+    ),
+    "furnace": Bar(0.002, "issue 2"),
+    "split-sum table": Bar(0.006, "256 points a texel, half floats"),
+    "oracle brdf": Bar(5e-5, "float32 on Mitsuba's side; accuracy 5e-6 relative to the value"),
 }
