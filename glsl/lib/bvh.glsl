@@ -110,21 +110,6 @@ bool intersect_triangle(LocalRay r, vec3 v0, vec3 v1, vec3 v2, float t_min, floa
     return det != 0.0 && t >= t_min && t <= t_max;                               // a NaN t fails
 }
 
-// The intersection function of KIND_SPHERE. The nearer root within [t_min, t_max].
-// Haines et al., "Precision Improvements for Ray/Sphere Intersection", Ray Tracing Gems (2019), ch. 7.
-bool intersect_sphere(LocalRay r, vec3 centre, float radius, float t_min, float t_max, out float t, out bool front) {
-    vec3 f = r.origin - centre;
-    float a = dot(r.dir, r.dir), b = -dot(f, r.dir);
-    vec3 away = f + (b / a) * r.dir;
-    float under = radius * radius - dot(away, away);
-    float q = b + (b >= 0.0 ? 1.0 : -1.0) * sqrt(a * max(under, 0.0));
-    float t0 = (dot(f, f) - radius * radius) / q, t1 = q / a;
-    float near = min(t0, t1), far = max(t0, t1);
-    front = near >= t_min;
-    t = front ? near : far;
-    return under >= 0.0 && t >= t_min && t <= t_max;
-}
-
 // The any-hit function: what is at this point of the surface for this kind of ray?  1 = nothing, 0 = a full blocker or a
 // surface to stop at, between = a tint on the way (SEE_BLOCKERS only).
 vec3 transmittance_at(HitGroup group, Hit hit, bool front, uint see) {
@@ -207,7 +192,7 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
                 vec2 bary = vec2(0.0);
                 bool met, faces_ray;
                 if (SPHERES && s2.w == KIND_SPHERE)
-                    met = intersect_sphere(local, uintBitsToFloat(s0.xyz), uintBitsToFloat(s1.x), ray.t_min, t_max, t, faces_ray);
+                    met = intersect_sphere(local.origin - uintBitsToFloat(s0.xyz), local.dir, uintBitsToFloat(s1.x), ray.t_min, t_max, t, faces_ray);
                 else
                     met = intersect_triangle(local, uintBitsToFloat(s0.xyz), uintBitsToFloat(s1.xyz), uintBitsToFloat(s2.xyz),
                                              ray.t_min, t_max, t, bary, faces_ray);

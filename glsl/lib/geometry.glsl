@@ -104,8 +104,23 @@ vec2 clamp_bary(vec2 b) {
     return sum > 1.0 ? b / sum : b;
 }
 
-// The hit of a ray with the plane of one known triangle (or its sphere).
-Hit hit_known(Ray ray, uint instance, uint triangle) {
+// The intersection function of KIND_SPHERE: the nearer root within [t_min, t_max]; front: the ray comes from outside.
+// f: the ray's origin from the centre. A miss still sets t: to where the ray passes closest, or to the root it may not use.
+// Haines et al., "Precision Improvements for Ray/Sphere Intersection", Ray Tracing Gems (2019), ch. 7.
+bool intersect_sphere(vec3 f, vec3 dir, float radius, float t_min, float t_max, out float t, out bool front) {
+    float a = dot(dir, dir), b = -dot(f, dir);
+    vec3 away = f + (b / a) * dir;
+    float under = radius * radius - dot(away, away);
+    float q = b + (b >= 0.0 ? 1.0 : -1.0) * sqrt(a * max(under, 0.0));
+    float t0 = (dot(f, f) - radius * radius) / q, t1 = q / a;
+    float near = min(t0, t1), far = max(t0, t1);
+    front = near >= t_min;
+    t = under < 0.0 ? b / a : (front ? near : far);
+    return under >= 0.0 && t >= t_min && t <= t_max;
+}
+
+// The hit of a ray with the plane of one known triangle (or its sphere). met: a sphere may be missed; triangles are not.
+Hit hit_known(Ray ray, uint instance, uint triangle, out bool met, out bool front) {
     Instance inst = instances[instance];
     uvec4 tri = texelFetch(triangles, int(triangle));
     mat3 object_from_world = mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]);
@@ -113,13 +128,10 @@ Hit hit_known(Ray ray, uint instance, uint triangle) {
     vec3 d = object_from_world * ray.dir;
     vec3 v0 = vertex_position(tri.x);
     Hit hit = Hit(0.0, vec2(0.0), instance, triangle, tri.w);
+    met = front = true;
     if (SPHERES && hit_group_of(instance, tri.w).kind == KIND_SPHERE) {
         float radius = uintBitsToFloat(texelFetch(vertices, int(tri.x) * 2 + 1).x);
-        vec3 f = o - v0;
-        float t_mid = -dot(f, d) / dot(d, d);
-        vec3 away = f + t_mid * d;
-        float h = sqrt(max(0.0, (radius * radius - dot(away, away)) / dot(d, d)));
-        hit.t = t_mid - h > 0.0 ? t_mid - h : t_mid + h;
+        met = intersect_sphere(o - v0, d, radius, ray.t_min, ray.t_max, hit.t, front);
         return hit;
     }
     vec3 e1 = vertex_position(tri.y) - v0, e2 = vertex_position(tri.z) - v0;
@@ -130,4 +142,9 @@ Hit hit_known(Ray ray, uint instance, uint triangle) {
     // t of the clamped point, so that distance and position tell one story.
     hit.t = dot(v0 + hit.bary.x * e1 + hit.bary.y * e2 - o, d) / dot(d, d);
     return hit;
+}
+
+Hit hit_known(Ray ray, uint instance, uint triangle) {
+    bool met, front;
+    return hit_known(ray, instance, triangle, met, front);
 }

@@ -16,14 +16,12 @@ void main() {
 #endif
 #if USE_ALPHA_TEST || USE_SPHERE_PROXY
     Ray ray = primary_ray(ivec2(gl_FragCoord.xy));
-    Hit hit = hit_known(ray, instance, triangle);
+    bool met, front;
+    Hit hit = hit_known(ray, instance, triangle, met, front);
 #endif
 #if USE_SPHERE_PROXY
-    Instance inst = instances[instance];
-    uvec4 tri = texelFetch(triangles, int(triangle));
-    Point p = sphere_point(tri, ray, hit.t, inst);
-    // A ray past the sphere meets the nearest point of its axis instead: not on the ray.
-    if (hit.t <= 0.0 || length(p.position - (ray.origin + hit.t * ray.dir)) > 1e-4 * hit.t + 64.0 * p.offset) discard;
+    if (!met || (SINGLE_SIDED && !front && hit_group_of(instance, hit.geometry).single_sided == 1u)) discard;
+    Point p = sphere_point(texelFetch(triangles, int(triangle)), ray, hit.t, instances[instance]);
     vec4 clip = frame.clip_from_world * vec4(p.position, 1.0);
     gl_FragDepth = CLIP_CONTROL ? clip.z / clip.w : clip.z / clip.w * 0.5 + 0.5;
 #endif

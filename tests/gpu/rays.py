@@ -230,6 +230,20 @@ class Found:
         return self.triangle != NO_HIT
 
 
+def world_triangles(g: geometry.Geometry, origin: F64) -> tuple[F64, U32, U32]:
+    """Every triangle of every instance relative to origin, float64: corners (T, 3, 3), row of triangles, instance."""
+    corners, rows, instances = [np.zeros((0, 3, 3))], [np.zeros(0, np.uint32)], [np.zeros(0, np.uint32)]
+    for i, (mesh, pose) in enumerate(zip(g.instance_mesh, g.world_from_object, strict=True)):
+        m = g.meshes[mesh]
+        spheres = {s[0] for s in m.spheres}
+        kept = [r for first, n in m.geometries for r in range(first, first + n) if r not in spheres]
+        local = g.vertices[g.triangles[kept, :3], :3].astype(np.float64)
+        corners.append(local @ pose[:3, :3].T + (pose[:3, 3] - origin))
+        rows.append(np.array(kept, np.uint32))
+        instances.append(np.full(len(kept), i, np.uint32))
+    return np.concatenate(corners), np.concatenate(rows), np.concatenate(instances)
+
+
 class Tracer:
     """A scene on the GPU, in a world rebased on `origin`, and rays through its tree."""
 
@@ -274,18 +288,7 @@ class Tracer:
 
     def triangles(self) -> tuple[F64, U32, U32]:
         """What is there, in float64 and in the space of the rays: corners (T, 3, 3), row of triangles, instance."""
-        g, corners, rows, instances = self.geometry, [], [], []
-        for i, (mesh, pose) in enumerate(zip(g.instance_mesh, g.world_from_object, strict=True)):
-            m = g.meshes[mesh]
-            spheres = {s[0] for s in m.spheres}
-            kept = np.array(
-                [r for first, n in m.geometries for r in range(first, first + n) if r not in spheres], np.uint32
-            )
-            local = g.vertices[g.triangles[kept, :3], :3].astype(np.float64)
-            corners.append(local @ pose[:3, :3].T + (pose[:3, 3] - self.origin))
-            rows.append(kept)
-            instances.append(np.full(len(kept), i, np.uint32))
-        return np.concatenate(corners), np.concatenate(rows), np.concatenate(instances)
+        return world_triangles(self.geometry, self.origin)
 
     def close(self) -> None:
         self._frame.release()
