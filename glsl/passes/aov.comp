@@ -1,8 +1,8 @@
 // passes/aov.comp -- one AOV of the exact pixel-centre rays, as bits. Which one is a feature: nothing else is computed.
 #include "lib/gbuffer.glsl"
 #include "lib/shade.glsl"
+#include "lib/tile.glsl"
 
-layout(local_size_x = 8, local_size_y = 8) in;
 layout(rgba32ui) writeonly uniform uimage2D out_aov;
 
 uvec4 bits(vec3 v) { return uvec4(floatBitsToUint(v), 0u); }
@@ -56,7 +56,7 @@ uvec4 value_of(Pixel p) {
 }
 
 void main() {
-    ivec2 px = ivec2(gl_GlobalInvocationID.xy);
+    ivec2 px = tile_pixel();
     if (any(greaterThanEqual(px, frame.size_px))) return;                  // groups overhang the edge
     imageStore(out_aov, px, value_of(load_pixel(px)));
 }

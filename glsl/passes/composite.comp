@@ -2,8 +2,8 @@
 // front: linear radiance of a pixel.
 #include "lib/gbuffer.glsl"
 #include "lib/shade.glsl"
+#include "lib/tile.glsl"
 
-layout(local_size_x = 8, local_size_y = 8) in;
 layout(rgba32f) uniform image2D radiance;                  // coverage in a
 #if USE_VISIBILITY
 uniform sampler2DArray visibility;
@@ -71,7 +71,7 @@ vec3 layers_over(Pixel p, vec3 behind) {
 #endif
 
 void main() {
-    ivec2 px = ivec2(gl_GlobalInvocationID.xy);
+    ivec2 px = tile_pixel();
     if (any(greaterThanEqual(px, frame.size_px))) return;                  // groups overhang the edge
     Pixel p = load_pixel(px);
     vec3 color = vec3(0.0);

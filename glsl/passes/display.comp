@@ -1,8 +1,8 @@
 // passes/display.comp -- exposure, tone map, sRGB encoding: linear radiance to what a screen shows.
 #include "lib/frame.glsl"
 #include "lib/math.glsl"
+#include "lib/tile.glsl"
 
-layout(local_size_x = 8, local_size_y = 8) in;
 uniform sampler2D radiance;
 layout(rgba8) writeonly uniform image2D out_display;
 layout(std430) readonly buffer Exposure { float exposure_ev; };
@@ -44,7 +44,7 @@ vec3 srgb_encode(vec3 c) {
 }
 
 void main() {
-    ivec2 px = ivec2(gl_GlobalInvocationID.xy);
+    ivec2 px = tile_pixel();
     if (any(greaterThanEqual(px, frame.size_px))) return;                  // groups overhang the edge
     vec3 c = max(texelFetch(radiance, px, 0).rgb * exp2(exposure_ev), 0.0);
     if (frame.tone_map == TONE_ACES) c = tone_aces(c);

@@ -4,8 +4,8 @@
 #include "lib/light.glsl"
 #include "lib/environment.glsl"
 #include "lib/sampling.glsl"
+#include "lib/tile.glsl"
 
-layout(local_size_x = 8, local_size_y = 8) in;
 layout(rgba32f) uniform image2D radiance;          // running mean of all samples so far
 
 #if USE_ENVIRONMENT_MAP
@@ -194,7 +194,7 @@ vec3 path(Ray ray) {
 }
 
 void main() {
-    ivec2 px = ivec2(gl_GlobalInvocationID.xy);
+    ivec2 px = tile_pixel();
     if (any(greaterThanEqual(px, frame.size_px))) return;                  // groups overhang the edge
     vec3 sum = vec3(0.0);
     for (uint i = 0u; i < frame.sample_count; i++) {

@@ -2,15 +2,15 @@
 // of roughness 1 spends none.
 #include "lib/gbuffer.glsl"
 #include "lib/shade.glsl"
+#include "lib/tile.glsl"
 
-layout(local_size_x = 8, local_size_y = 8) in;
 layout(rgba32f) writeonly uniform image2D out_reflection;    // radiance, distance (inf: sky, 0: no ray)
 #if USE_REASON
 layout(r8ui) writeonly uniform uimage2D out_reason;
 #endif
 
 void main() {
-    ivec2 px = ivec2(gl_GlobalInvocationID.xy);
+    ivec2 px = tile_pixel();
     if (any(greaterThanEqual(px, frame.size_px))) return;                  // groups overhang the edge
     Pixel p = load_pixel(px);
     vec4 result = vec4(0.0);

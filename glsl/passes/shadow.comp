@@ -1,8 +1,8 @@
 // passes/shadow.comp -- one any-hit ray per pixel and light, only where a surface faces the light.
 #include "lib/gbuffer.glsl"
 #include "lib/shade.glsl"
+#include "lib/tile.glsl"
 
-layout(local_size_x = 8, local_size_y = 8) in;
 #if USE_BLENDED
 layout(rgba16f) writeonly uniform image2DArray out_visibility;
 #else
@@ -30,7 +30,7 @@ Point smooth_point(Pixel p, Surface s) {
 }
 
 void main() {
-    ivec2 px = ivec2(gl_GlobalInvocationID.xy);
+    ivec2 px = tile_pixel();
     if (any(greaterThanEqual(px, frame.size_px))) return;                  // groups overhang the edge
     Pixel p = load_pixel(px);
     if (!covered(p)) {
