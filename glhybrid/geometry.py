@@ -16,7 +16,7 @@ from glhybrid.errors import GeometryError
 from glhybrid.scene import F32, F64, U32, Material, Mesh, Scene, Sphere, Triangles
 
 FLATTEN_GROWTH = 1.25  # triangles after flattening / before: above it, instances save more than one level gains
-PRESPLIT = 0.3  # slots that long thin triangles may add, as a share of all: a fifth fewer steps a ray in architecture
+PRESPLIT = 0.0  # share of extra slots for pieces of long thin triangles; can cost more than it gains
 FLATTEN_RATIO = 1e-4  # smallest instance / scene: below it, float32 about the scene's centre would bend its shape
 
 
