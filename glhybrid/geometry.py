@@ -78,8 +78,8 @@ def choose_levels(scene: Scene, asked: int | str) -> tuple[int, str]:
     if any(not _flattenable(scene, i.mesh, i.world_from_object) for i in scene.instances):
         return 2, "a sphere stands under a non-uniform scale"
     extent = float(np.linalg.norm(np.diff(scene.bounds(), axis=0)))
-    sizes = [np.linalg.norm(np.diff(scene.replace(instances=(i,)).bounds(), axis=0)) for i in scene.instances[:4096]]
-    smallest = float(min((s for s in sizes if s > 0), default=extent))
+    sizes = np.linalg.norm(scene.instance_bounds[:, 1] - scene.instance_bounds[:, 0], axis=1)
+    smallest = float(min(sizes[sizes > 0], default=extent))
     if smallest < FLATTEN_RATIO * extent:
         return 2, f"the smallest object is {smallest / extent:.1e} of the scene"
     return 1, "no mesh is repeated"

@@ -6,6 +6,7 @@ to after load; objects compare by identity.
 """
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -129,6 +130,25 @@ class Mesh:
     name: str
     primitives: tuple[Triangles | Sphere, ...]
     morph_weights: tuple[float, ...] = ()
+
+    @cached_property
+    def bounds(self) -> F64:
+        """(2, 3) float64, object space: over vertices that some triangle uses and that are finite; NaN if none is."""
+        corners = []
+        for p in self.primitives:
+            if isinstance(p, Sphere):
+                corners.append(np.array([[-p.radius] * 3, [p.radius] * 3]))
+            else:
+                used = np.zeros(len(p.position), bool)
+                used[p.index.ravel()] = True
+                used &= np.isfinite(p.position).all(1)
+                if used.any():
+                    points = p.position[used].astype(np.float64)
+                    corners.append(np.stack([points.min(0), points.max(0)]))
+        if not corners:
+            return np.full((2, 3), np.nan)
+        boxes = np.stack(corners)
+        return np.stack([boxes[:, 0].min(0), boxes[:, 1].max(0)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,30 +312,19 @@ class Scene:
         per_mesh = [sum(len(p.index) for p in m.primitives if isinstance(p, Triangles)) for m in self.meshes]
         return sum(per_mesh[i.mesh] for i in self.instances)
 
+    @cached_property
+    def instance_bounds(self) -> F64:
+        """(I, 2, 3) float64, world: the box of each instance; NaN for one that draws nothing."""
+        if not self.instances:
+            return np.zeros((0, 2, 3))
+        boxes = np.stack([self.meshes[i.mesh].bounds for i in self.instances])
+        pose = np.stack([i.world_from_object for i in self.instances])
+        middle, half = boxes.mean(1), (boxes[:, 1] - boxes[:, 0]) / 2
+        middle = np.einsum("iab,ib->ia", pose[:, :3, :3], middle) + pose[:, :3, 3]
+        half = np.einsum("iab,ib->ia", np.abs(pose[:, :3, :3]), half)
+        return np.stack([middle - half, middle + half], axis=1)
+
     def bounds(self) -> F64:
         """(2, 3) float64, world: smallest and largest corner over all instances; zeros if nothing is drawn."""
-        boxes = [_object_bounds(m) for m in self.meshes]
-        low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        for instance in self.instances:
-            box = boxes[instance.mesh]
-            if box is None:
-                continue
-            corners = np.array([[box[i, 0], box[j, 1], box[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-            world = corners @ instance.world_from_object[:3, :3].T + instance.world_from_object[:3, 3]
-            low, high = np.minimum(low, world.min(0)), np.maximum(high, world.max(0))
-        return np.stack([low, high]) if np.all(np.isfinite(low)) else np.zeros((2, 3))
-
-
-def _object_bounds(mesh: Mesh) -> F64 | None:
-    boxes: list[tuple[F64, F64]] = []
-    for p in mesh.primitives:
-        if isinstance(p, Sphere):
-            boxes.append((np.full(3, -p.radius), np.full(3, p.radius)))
-        elif len(p.index):
-            used = p.position[p.index.ravel()]
-            used = used[np.isfinite(used).all(1)].astype(np.float64)
-            if len(used):
-                boxes.append((used.min(0), used.max(0)))
-    if not boxes:
-        return None
-    return np.stack([np.min([b[0] for b in boxes], 0), np.max([b[1] for b in boxes], 0)])
+        boxes = self.instance_bounds[np.isfinite(self.instance_bounds).all((1, 2))]
+        return np.stack([boxes[:, 0].min(0), boxes[:, 1].max(0)]) if len(boxes) else np.zeros((2, 3))
