@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, CycloptsError, Parameter
 
 from glhybrid import __version__, console
-from glhybrid.errors import GlhybridError, SettingError
+from glhybrid.errors import DeviceError, GlhybridError, SettingError
 
 if TYPE_CHECKING:
     from glhybrid.scene import Scene
@@ -60,6 +60,13 @@ class Common:
     ] = None
     samples: Annotated[int | None, Parameter(help="Paths or rays per pixel of stochastic techniques; 64.")] = None
     bounces: Annotated[int | None, Parameter(help="Bounces after the first hit in reference; 8.")] = None
+    time: Annotated[
+        float | None, Parameter(help="Seconds into the clip, held at its ends; without it nothing is animated.")
+    ] = None
+    clip: Annotated[
+        str | None,
+        Parameter(help="Name or number of the animation; the first one by default. Alone, it is shown at 0 s."),
+    ] = None
     aa: Annotated[int | None, Parameter(help="Jittered frames averaged; 4 for PNG, 1 for EXR and NPZ.")] = None
     set: Annotated[
         tuple[str, ...],
@@ -76,7 +83,9 @@ class Common:
         from glhybrid.settings import Settings
 
         settings = Settings().with_toml(self.config) if self.config is not None else Settings()
-        flags = {name: getattr(self, name) for name in ("shadows", "reflections", "samples", "bounces", "aa")}
+        flags = {
+            name: getattr(self, name) for name in ("shadows", "reflections", "samples", "bounces", "aa", "time", "clip")
+        }
         settings = settings.replace(**{name: value for name, value in flags.items() if value is not None})
         return settings.with_overrides(self.set)
 
@@ -153,13 +162,26 @@ def render(
 
 @app.command
 def plan(scene: SceneName, /, *, common: Common = Common()) -> int:
-    """Show what a scene needs and what will run, with reasons."""
+    """Show what a scene needs and what will run, with reasons and, where there is OpenGL, measured shares."""
     settings, size = common.settings(), common.pixels()
-    loaded = common.load(scene)
-    _say_warnings(loaded.warnings)
-    from glhybrid.plan import describe
+    with console.progress(not (common.quiet or common.json)) as progress:
+        progress(f"loading {scene}", 0, 0)
+        loaded = common.load(scene)
+        _say_warnings(loaded.warnings)
+        from glhybrid.plan import MEASURE_AOVS, MEASURE_SIZE, describe, measured
 
-    result = describe(loaded, settings, size)
+        result = describe(loaded, settings, size)
+        from glhybrid.renderer import Renderer
+
+        try:
+            with Renderer(device=common.device) as renderer:
+                few = settings.replace(aa=2, samples=min(settings.samples, 4))
+                frame = renderer.render(
+                    loaded, common.camera_key(), MEASURE_SIZE, few, aovs=MEASURE_AOVS, progress=progress
+                )
+            result["measured"] = measured(frame)
+        except DeviceError as error:
+            result["measured"] = f"not measured: {str(error).splitlines()[0]}"
     if common.json:
         _print_json(result)
     else:

@@ -1,13 +1,17 @@
 """What will run for a scene, settings and device, and why: decided here, carried out by renderer.py, printable."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from glhybrid import needs
+from glhybrid.deform import at_time
 from glhybrid.geometry import choose_levels
 from glhybrid.needs import Features
 from glhybrid.scene import Scene
 from glhybrid.settings import Settings
+
+if TYPE_CHECKING:
+    from glhybrid.image import Frame
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,7 @@ def make(scene: Scene, settings: Settings, *, software: bool = True, clip_contro
 
 def describe(scene: Scene, settings: Settings, size: tuple[int, int] = (1280, 720)) -> dict[str, Any]:
     """The plan as the command line prints it, without a device: passes, reasons, what is skipped, features in use."""
+    scene = at_time(scene, settings.time, settings.clip)
     plan = make(scene, settings)
     on = [name for name, value in plan.features.defines().items() if name.startswith("USE_") and value]
     return {
@@ -62,4 +67,26 @@ def describe(scene: Scene, settings: Settings, size: tuple[int, int] = (1280, 72
         "reasons": list(plan.reasons),
         "features": [name.removeprefix("USE_").lower() for name in on],
         "skipped": list(plan.skipped),
+    }
+
+
+MEASURE_SIZE = (320, 180)  # pixels: shares of a picture settle long before its details do
+MEASURE_AOVS = ("instance_id", "visibility", "reflection_hit", "bvh_steps")
+
+
+def measured(frame: "Frame") -> dict[str, Any]:
+    """What only a picture tells, from a small one with MEASURE_AOVS: shares of pixels and of a frame's time."""
+    from glhybrid.image import AOVS
+
+    surface = frame["instance_id"] != AOVS["instance_id"].miss
+    lit = frame["visibility"]
+    passes = {row["name"]: row["ms"] for row in frame.receipt["passes"] if row["name"] != "display"}
+    total = sum(passes.values()) or 1.0
+    percent: dict[str, Any] = {"with a surface": surface, "with a mirror ray": frame["reflection_hit"] != 0}
+    percent |= {f"lit by light {i}": lit[..., i] > 0 for i in range(min(lit.shape[-1], 8))}
+    return {
+        "size": list(frame.size),
+        **{f"pixels {name}, %": round(100 * float(mask.mean()), 1) for name, mask in percent.items()},
+        **{f"time in {name}, %": round(100 * ms / total, 1) for name, ms in passes.items()},
+        "tree steps per pixel": round(float(frame["bvh_steps"][surface].mean()), 1) if surface.any() else 0.0,
     }
