@@ -6,7 +6,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from glhybrid import __version__, geometry, layout, plan
+from glhybrid import __version__, deform, geometry, layout, plan, pose
 from glhybrid.context import Context, open_context
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.image import Frame, check_aovs
@@ -58,8 +58,9 @@ class Renderer:
         started = time.perf_counter()
         settings = settings or Settings()
         names = check_aovs(aovs)
-        view = make_view(choose_camera(scene, camera), size, scene, self.context.limits.clip_control)
+        choose_camera(scene, camera)  # refuses an unknown one before any work is done
         staged = self.stage(scene, settings, size, names)
+        view = make_view(choose_camera(staged.drawn, camera), size, staged.drawn, self.context.limits.clip_control)
         staged.look(view)
         timing = Timing(self.context.gl.finish)
         radiance = staged.accumulate(timing, progress, started)
@@ -113,6 +114,7 @@ class Staged:
         upload: GpuScene | None = None,
     ) -> None:
         self.context, self.shaders, self.scene, self.settings, self.aovs = context, shaders, scene, settings, aovs
+        self.drawn = scene = deform.at_time(scene, settings.time, settings.clip)
         self.plan = plan.make(
             scene, settings, software=context.device.software, clip_control=context.limits.clip_control
         )
@@ -158,10 +160,12 @@ class Staged:
 
     def shares_upload(self, scene: Scene, settings: Settings) -> bool:
         """Whether trees and buffers serve these settings too."""
-        return scene is self.scene and settings.levels == self.settings.levels
+        same = scene is self.scene and settings.levels == self.settings.levels
+        return same and (settings.time, settings.clip) == (self.settings.time, self.settings.clip)
 
     def look(self, view: View) -> None:
         """Points the next frames through a view."""
+        self._ids = None
         self.upload.rebase(view.origin)
         c, s = self.constants[0], self.settings
         clip = view.clip_from_world
@@ -259,6 +263,8 @@ class Staged:
         """What was drawn, how, on what, and how long it took."""
         scene, medians = self.scene, timing.medians()
         warnings = list(scene.warnings)
+        if self.settings.time is not None or self.settings.clip is not None:
+            warnings += pose.notes(scene, self.settings.time, self.settings.clip)
         if dropped := self.upload.geometry.dropped:
             warnings.append(f"{dropped} triangles dropped: without area, or with a vertex that is not finite")
         drawn = [i for i in scene.instances]

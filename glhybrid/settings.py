@@ -123,7 +123,10 @@ class Settings:
     tone: str = _setting("pbr-neutral", "tone map of the displayed picture", str, choices=TONE_MAPS)
     terminator: bool = _setting(False, "shadow terminator fix for coarse smooth meshes", bool)
     seed: int = _setting(0, "random numbers of stochastic techniques", int, 0, 2**32 - 1)
-    time: float = _setting(0.0, "seconds into the animation", float, -1e9, 1e9)
+    time: float | None = _setting(
+        None, "seconds into the clip, held at its ends; auto: the pose at rest", float, -1e9, 1e9, auto=None
+    )
+    clip: str | None = _setting(None, "name or number of the animation to play; auto: the first", str, auto=None)
     levels: Literal["auto", 1, 2] = _setting("auto", "levels of the tree", str, choices=("auto", 1, 2))
     primary: Literal["auto", "raster", "trace"] = _setting(
         "auto", "how first surfaces are found", str, choices=("auto", "raster", "trace")

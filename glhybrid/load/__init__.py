@@ -88,13 +88,18 @@ def _find(source: str | Path) -> Path:
 
 def _with_defaults(scene: Scene) -> Scene:
     said = []
+    if scene.lights and scene.cameras:
+        return scene
+    from glhybrid.deform import at_rest
+
+    resting = at_rest(scene)  # what is lit and framed is what will be drawn
     if not scene.lights and scene.environment is None:
         from glhybrid.load.defaults import default_light
 
-        environment, sun = default_light(scene)
+        environment, sun = default_light(resting)
         scene = replace(scene, environment=environment, lights=(sun,))
         said.append("no light and no environment: lit by a soft default sky and sun")
     if not scene.cameras:
-        scene = replace(scene, cameras=(default_camera(scene),))
+        scene = replace(scene, cameras=(default_camera(resting),))
         said.append("no camera: seen by a default one that frames the scene")
     return replace(scene, warnings=(*scene.warnings, *said))

@@ -6,7 +6,7 @@ import numpy as np
 
 from glhybrid.load.gltf_accessors import AccessorReader
 from glhybrid.load.gltf_document import Document, Item
-from glhybrid.load.pose import trs_matrices, world_matrices
+from glhybrid.pose import rigid, trs_matrices, world_matrices
 from glhybrid.scene import F64, Camera, Light, Node
 
 MAX_INSTANCES = 1 << 22  # each is an object of some hundred bytes
@@ -142,7 +142,7 @@ def read_camera(item: Item, node: int, node_name: str, world: F64) -> Camera:
     data = item.child(kind)
     if data is None:
         raise item.fail(f'"{kind}" is missing')
-    pose = _rigid(world)
+    pose = rigid(world)
     if pose is None:
         raise item.fail(f'node "{node_name or node}" has scale 0, so its view has no direction')
     name = item.name or node_name or item.label
@@ -162,21 +162,6 @@ def read_camera(item: Item, node: int, node_name: str, world: F64) -> Camera:
     if min(xmag, ymag) < 0.0:
         data.warn("negative xmag or ymag: the sign is ignored")
     return Camera(name, pose, fov_y=0.0, near=near, far=far, xmag=abs(xmag), ymag=abs(ymag), node=node)
-
-
-def _rigid(world: F64) -> F64 | None:
-    """The pose with the Z axis of the matrix and its Y axis as far as square to that; None without a direction."""
-    back, up = world[:3, 2], world[:3, 1]
-    if np.linalg.norm(back) < 1e-30:
-        return None
-    back = back / np.linalg.norm(back)
-    right = np.cross(up, back)
-    if np.linalg.norm(right) < 1e-12 * (1.0 + np.linalg.norm(up)):
-        right = np.cross(np.eye(3)[np.argmin(np.abs(back))], back)
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, np.cross(back, right), back, world[:3, 3]
-    return pose
 
 
 def read_light(item: Item, node: int, node_name: str, world: F64) -> Light:

@@ -337,7 +337,7 @@ class _Builder:
         self, path: Path, model: Scene, mesh: int, own: int, world: F64, name: str, material: int | None, table: Table
     ) -> None:
         """One copy of a model: its instances, lights and cameras moved; nodes only where something may move them."""
-        alive = bool(model.animations or model.skins)
+        alive = bool(model.animations or model.skins or any(n.morph_weights for n in model.nodes))
         root = len(self.nodes)
         node_of = (lambda n: n if n < 0 else root + 1 + n) if alive else (lambda n: -1)
         first_skin = len(self.skins)

@@ -7,8 +7,9 @@ import pytest
 from gltf_builder import QUAD, QUAD_INDEX, Builder
 from test_gltf import load, piece
 
+from glhybrid.deform import at_rest as rest_pose
 from glhybrid.load import read_model
-from glhybrid.load.pose import rest_pose, trs_matrices, world_matrices
+from glhybrid.pose import trs_matrices, world_matrices
 from glhybrid.scene import Node
 
 MODELS = Path(__file__).resolve().parents[3] / "shared" / "models"
