@@ -31,4 +31,14 @@ BARS = {
     "furnace": Bar(0.002, "issue 2"),
     "split-sum table": Bar(0.006, "256 points a texel, half floats"),
     "oracle brdf": Bar(5e-5, "float32 on Mitsuba's side; accuracy 5e-6 relative to the value"),
+    # test_reference.py
+    "z passed": Bar(0.9975, "issue 2: Mitsuba's own share of pixels, alpha 0.01 with Sidak's correction"),
+    "z of a tile": Bar(5.0, "largest of 48 tiles x 3 channels, not independent: 4.2 is alpha 0.005 over 144"),
+    "z of the picture": Bar(4.0, "one in 5,000 by chance; with fixed seeds never"),
+    "z spread, low": Bar(0.2, "pixels that see the sky or a lamp have no noise and count as 0"),
+    "z spread, high": Bar(
+        1.3, "1 where variances are right; above it when rare bright paths are missing from one side"
+    ),
+    "closed room": Bar(0.005, "200 k paths of 40 vertices, relative deviation of each about 1; pbrt's bar is 0.025"),
+    "white sky": Bar(0.005, "as the closed room"),
 }

@@ -1,5 +1,6 @@
 """Starts tests/image/mitsuba_oracle.py and asks it questions. Mitsuba is never imported in this process."""
 
+import functools
 import importlib.util
 import json
 import os
@@ -120,13 +121,13 @@ def describe(scene: Scene) -> tuple[dict[str, Any], dict[str, Any]]:
         for k, shape in enumerate(mesh.primitives):
             material = scene.materials[(instance.materials or tuple(p.material for p in mesh.primitives))[k]]
             entry: dict[str, Any] = {"bsdf": material_spec(material)}
+            name = f"shape{len(shapes)}"
             if max(material.emissive) > 0:
                 entry["emitter"] = list(material.emissive)
             m = instance.world_from_object
             if isinstance(shape, Sphere):
                 entry["sphere"] = [*m[:3, 3].tolist(), shape.radius * abs(np.linalg.det(m[:3, :3])) ** (1 / 3)]
             else:
-                name = f"shape{len(shapes)}"
                 index = shape.index if np.linalg.det(m[:3, :3]) > 0 else shape.index[:, ::-1]
                 world = shape.position.astype(np.float64) @ m[:3, :3].T + m[:3, 3]
                 arrays[f"{name}_position"] = world[index].astype(np.float32)
@@ -136,6 +137,11 @@ def describe(scene: Scene) -> tuple[dict[str, Any], dict[str, Any]]:
                 flat = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
                 flat /= np.linalg.norm(flat, axis=1, keepdims=True)
                 normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+                if "emitter" in entry and material.double_sided:
+                    # Mitsuba's lamps shine to the front alone: a second one, turned over, lies close behind the first.
+                    gap = 1e-4 * np.ptp(world, axis=0).max()
+                    arrays[f"{name}_back"] = (corner - gap * flat[:, None])[:, ::-1].astype(np.float32)
+                    shapes.append({**entry, "position": f"{name}_back"})
                 if np.abs(normal[index] - flat[:, None]).max() > 1e-4:
                     arrays[f"{name}_normal"] = normal[index].astype(np.float32)
                     entry["normal"] = f"{name}_normal"
@@ -180,6 +186,7 @@ def sky_radiance(environment: Environment, direction: F64) -> F64:
     return (top * (1 - fv) + low * fv) * environment.intensity
 
 
+@functools.lru_cache(maxsize=4)  # environments compare by identity
 def mitsuba_map(environment: Environment) -> NDArray[np.float32]:
     """The same light on Mitsuba's grid: columns at (i + 0.5) / W from -Z towards -X.., rows at j / (H - 1)."""
     height, width = SKY_SIZE

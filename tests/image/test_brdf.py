@@ -39,7 +39,7 @@ class Probe:
         l: Any,
         n_coat: Any = (0, 0, 1),
         repeats: int = 1,
-        seed: int = 0,  # noqa: E741
+        seed: int = 0,
     ) -> "NDArray[np.float64]":
         """(count, repeats, 3, 4): as the probe's Results."""
         count = max(len(brdfs), np.size(v) // 3, np.size(l) // 3)
