@@ -46,6 +46,7 @@ STRUCTS: dict[str, list[Row]] = {
         ("float", "exposure_ev", "EV; used unless auto_exposure"),
         ("uint", "auto_exposure", "1 = from the log-average luminance"),
         ("uint", "tone_map", "TONE_*"),
+        ("float", "mirror_cutoff", "roughness from which a surface sends no mirror ray; 1 = Kim's"),
         ("vec3", "environment_x", "rows of environment_from_world: rotation about +Y"),
         ("float", "environment_intensity", "texels times this are radiance"),
         ("vec3", "environment_z", "third row"),

@@ -73,10 +73,12 @@ def used_materials(scene: Scene) -> list[int]:
     return sorted(used)
 
 
-def reflective(material: Material) -> bool:
-    """Whether a mirror ray is worth its cost anywhere on this material: at roughness 1 none is spent."""
-    coated = material.clearcoat > 0 and material.clearcoat_roughness < 1
-    return not material.unlit and (material.roughness < 1 or "metallic_roughness" in material.textures or coated)
+def reflective(material: Material, cutoff: float) -> bool:
+    """Whether some point of this material sends a mirror ray: smoother than the cutoff (1 = Kim's), base or coat."""
+    coated = material.clearcoat > 0 and (
+        material.clearcoat_roughness < cutoff or "clearcoat_roughness" in material.textures
+    )
+    return not material.unlit and (material.roughness < cutoff or "metallic_roughness" in material.textures or coated)
 
 
 def find(scene: Scene, settings: Settings) -> Needs:
@@ -92,7 +94,8 @@ def find(scene: Scene, settings: Settings) -> Needs:
     )
     lit = bool(scene.lights) and not all(m.unlit for m in materials)
     reference = settings.reflections == "reference"
-    mirrors = any(reflective(m) for m in materials)
+    cutoff = settings.parameter("reflections.ray-lerp.cutoff")
+    mirrors = any(reflective(m, cutoff) for m in materials)
     reflections = settings.reflections == "ray-lerp" and mirrors
     visibility = lit and settings.shadows == "ray" and not reference
     blended = any(m.alpha_mode == "BLEND" or m.transmission > 0 for m in materials)
@@ -125,7 +128,9 @@ def find(scene: Scene, settings: Settings) -> Needs:
             skipped.append(f"shadow pass and its images: {reason}")
         if not reflections:
             reason = (
-                "no material is smoother than roughness 1" if not mirrors else f"reflections = {settings.reflections}"
+                f"no material is smoother than roughness {cutoff:g}"
+                if not mirrors
+                else f"reflections = {settings.reflections}"
             )
             skipped.append(f"reflect pass and its image: {reason}")
     for name, present, reason in (

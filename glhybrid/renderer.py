@@ -180,6 +180,7 @@ class Staged:
             "size_px": view.size, "light_first": 0, "light_end": len(self.upload.lights),
             "light_count": len(self.upload.lights), "bounces": s.bounces,
             "exposure_ev": 0.0 if s.exposure == "auto" else s.exposure, "auto_exposure": s.exposure == "auto",
+            "mirror_cutoff": s.parameter("reflections.ray-lerp.cutoff"),
             "tone_map": layout.CONSTANTS[f"TONE_{s.tone.upper().replace('-', '_')}"],
             "environment_x": (np.cos(angle), 0, -np.sin(angle)), "environment_z": (np.sin(angle), 0, np.cos(angle)),
             "environment_intensity": self.scene.environment.intensity if self.scene.environment else 0.0,

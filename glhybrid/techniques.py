@@ -58,6 +58,9 @@ _ALL = (
         "one mirror ray, its hit lit with its own shadow ray, mixed by roughness with the blurred sky",
         implemented=True,
         traced=True,
+        parameters=(
+            Parameter("cutoff", 1.0, "roughness from which no ray is sent and the blurred sky stands in", 0.0, 1.0),
+        ),
     ),
     Technique("reflections", "ssr-ray", "screen space first, a ray where that fails", traced=True),
     Technique("reflections", "ray-glossy", "GGX-sampled rays, denoised", stochastic=True, traced=True),

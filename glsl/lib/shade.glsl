@@ -47,6 +47,8 @@ vec3 direct_light(Surface s, vec3 v) {
 bool coat_leads(Bsdf b) { return CLEARCOAT && b.clearcoat > 0.0 && b.clearcoat_roughness < b.roughness; }
 float mirror_roughness(Surface s) { return coat_leads(s.bsdf) ? s.bsdf.clearcoat_roughness : s.bsdf.roughness; }
 
+bool sends_mirror_ray(Surface s) { return mirror_roughness(s) < frame.mirror_cutoff && !s.unlit; }
+
 // Mirror direction at a surface; a direction under the geometric plane is bent back onto it.
 vec3 mirror_direction(Surface s, vec3 v, out bool bent) {
     vec3 r = reflect(-v, coat_leads(s.bsdf) ? s.bsdf.n_coat : s.bsdf.n);

@@ -19,7 +19,7 @@ uvec4 steps_of(Pixel p) {
     bool bent;
     vec3 r = mirror_direction(s, -p.ray.dir, bent);
     Hit hit;
-    if (mirror_roughness(s) < 1.0) unused += trace_radiance(Ray(ray_origin(s.point, r), 0.0, r, INFINITY), 0.0, 0.0, hit);
+    if (sends_mirror_ray(s)) unused += trace_radiance(Ray(ray_origin(s.point, r), 0.0, r, INFINITY), 0.0, 0.0, hit);
 #endif
     return uvec4(step_count, floatBitsToUint(unused.x), 0u, 0u);    // the light is kept, or its rays would be optimised away
 }

@@ -28,7 +28,7 @@ vec3 surface_radiance(Pixel p, Surface s, ivec2 px) {
     bool bent;
     vec3 r = mirror_direction(s, v, bent);
 #if USE_REFLECTIONS
-    bool has_traced = mirror_roughness(s) < 1.0;
+    bool has_traced = sends_mirror_ray(s);
     return sum + indirect_light(s, v, r, texelFetch(reflection, px, 0).rgb, has_traced);
 #else
     return sum + indirect_light(s, v, r, vec3(0.0), false);
@@ -50,7 +50,7 @@ vec3 layers_over(Pixel p, vec3 behind) {
             vec3 r = mirror_direction(s, v, bent), traced = vec3(0.0);
             color += direct_light(s, v);
 #if USE_REFLECTIONS
-            bool look = mirror_roughness(s) < 1.0;
+            bool look = sends_mirror_ray(s);
             WHEN (look) {
                 Ray ray = Ray(ray_origin(s.point, r), 0.0, r, INFINITY);
                 Hit seen = closest_hit(ray);

@@ -1,18 +1,19 @@
 // passes/prefilter.comp -- the environment convolved once: GGX lobes of growing roughness, and the cosine.
-// Karis (2013) with n = v = r; each sample reads the mip that covers its solid angle (Colbert & Krivanek, GPU Gems 3, ch. 20).
+// Karis (2013) with n = v = r, but summed, not sampled: the sky is a quadtree (glhybrid/sky_tree.py), and a node is taken
+// whole, at its centre of light, where the lobe hardly changes across it, as Barnes & Hut (1986) sum gravity.
 #include "layout.glsl"
 #include "lib/brdf.glsl"
 
 layout(local_size_x = 8, local_size_y = 8) in;
-uniform sampler2D environment_mips;    // equirect, all levels, linear
+layout(std430) readonly buffer SkyNodes { vec4 sky_nodes[]; };   // two each: mean radiance, sr; centre of light, radius in rad
 uniform int lobe;                      // level of PREFILTER_SIZES; -1: the cosine
 uniform int column;                    // where the map lies in the atlas
 layout(rgba16f) writeonly uniform image2D out_atlas;
 
-const uint SAMPLES = 256u;
-
-vec3 texels(vec3 d, float level) {
-    return textureLod(environment_mips, equirect(d), level).rgb;
+// What light from a direction counts for, by its cosine to n. Half vectors lie at half the angle: 1 - N.H^2 = (1 - c) / 2.
+float lobe_at(float c, float a2) {
+    if (lobe < 0) return max(c, 0.0);
+    return c > 0.0 ? c * square(a2 / (a2 + (1.0 - a2) * 0.5 * (1.0 - c))) : 0.0;
 }
 
 void main() {
@@ -24,29 +25,37 @@ void main() {
     if (p.x < 0 || p.x >= size) p = ivec2(clamp(p.x, 0, size - 1), size - 1 - p.y);
     if (p.y < 0 || p.y >= size) p = ivec2(size - 1 - p.x, clamp(p.y, 0, size - 1));
     vec3 n = oct_decode((vec2(p) + 0.5) / float(size));
-    mat3 to_world = basis(n);
-    ivec2 map_size = textureSize(environment_mips, 0);
-    float texel_angle = 4.0 * PI / float(map_size.x * map_size.y) * 1.5;   // mean solid angle; lat-long texels shrink to the poles
-    float alpha = square(float(lobe + 1) / float(PREFILTER_LEVELS));
-    vec4 sum = vec4(0.0);
-    for (uint i = 0u; i < SAMPLES; i++) {
-        vec2 xi = vec2((float(i) + 0.5) / float(SAMPLES), float(bitfieldReverse(i)) * (1.0 / 4294967296.0));
-        vec3 l;
-        float pdf, weight;
-        if (lobe < 0) {
-            float r = sqrt(xi.x), phi = 2.0 * PI * xi.y;
-            l = to_world * vec3(r * cos(phi), r * sin(phi), sqrt(1.0 - xi.x));
-            pdf = sqrt(1.0 - xi.x) / PI;
-            weight = 1.0;
-        } else {
-            vec3 h = ggx_sample_vndf(n, n, alpha, xi);
-            l = reflect(-n, h);
-            weight = dot(n, l);
-            pdf = ggx_pdf(n, n, h, alpha);
+    float a2 = lobe < 0 ? 1.0 : square(square(float(lobe + 1) / float(PREFILTER_LEVELS)));
+    vec3 sum = vec3(0.0);
+    float whole = 0.0;
+    for (int root = 0; root < 32; root++) {
+        int level = 0, first = 0;                                          // first node of the level
+        ivec2 at = ivec2(root & 7, root >> 3);
+        while (true) {
+            int i = 2 * (first + (at.y << (level + 3)) + at.x);
+            vec4 light = sky_nodes[i], centre = sky_nodes[i + 1];
+            float c = dot(n, centre.xyz);
+            // Distance over which the lobe changes, its width near the middle and the angle far from it. Brighter nodes are
+            // taken smaller.
+            float reach = sqrt(4.0 * a2 + 2.0 - 2.0 * c);
+            float flat = SKY_FLATNESS * clamp(inversesqrt(max3(light.rgb) / SKY_MEAN), 0.2, 1.0);
+            if (level < SKY_LEVELS - 1 && centre.w > flat * reach) {
+                first += 32 << (2 * level);
+                level++;
+                at *= 2;
+                continue;
+            }
+            float k = lobe_at(c, a2) * light.w;
+            sum += k * light.rgb;
+            whole += k;
+            while (level > 0 && (at.x & at.y & 1) == 1) {                  // the last of four: up
+                level--;
+                first -= 32 << (2 * level);
+                at >>= 1;
+            }
+            if (level == 0) break;
+            at += (at.x & 1) == 0 ? ivec2(1, 0) : ivec2(-1, 1);
         }
-        if (weight <= 0.0) continue;
-        float level = max(0.0, 0.5 * log2(1.0 / (float(SAMPLES) * pdf * texel_angle)) + 1.0);
-        sum += weight * vec4(texels(l, level), 1.0);
     }
-    imageStore(out_atlas, px + ivec2(column, 0), vec4(min(sum.rgb / sum.w, 65504.0), 1.0));   // what a half float holds
+    imageStore(out_atlas, px + ivec2(column, 0), vec4(min(sum / whole, 65504.0), 1.0));   // what a half float holds
 }

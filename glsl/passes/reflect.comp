@@ -20,7 +20,7 @@ void main() {
         vec3 v = -p.ray.dir;
         bool bent;
         vec3 r = mirror_direction(s, v, bent);
-        bool smooth_enough = mirror_roughness(s) < 1.0 && !s.unlit;
+        bool smooth_enough = sends_mirror_ray(s);
         reason = smooth_enough ? (bent ? REASON_BELOW : REASON_NONE) : REASON_ROUGH;
         WHEN (smooth_enough) {
             Hit hit;
