@@ -5,7 +5,6 @@ flattened into one mesh in world space (relative to its own centre, so that floa
 it lies): no top-level tree, no change of space in the middle of a ray.
 """
 
-from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +15,6 @@ from glhybrid.errors import GeometryError
 from glhybrid.scene import F32, F64, U32, Material, Mesh, Scene, Sphere, Triangles
 
 FLATTEN_GROWTH = 1.25  # triangles after flattening / before: above it, instances save more than one level gains
-PRESPLIT = 0.0  # share of extra slots for pieces of long thin triangles; can cost more than it gains
 FLATTEN_RATIO = 1e-4  # smallest instance / scene: below it, float32 about the scene's centre would bend its shape
 
 
@@ -195,12 +193,8 @@ class _Builder:
         mark: tuple[int, int, int],
         ranges: list[tuple[int, int]],
         spheres: list[tuple[int, int, F32]],
-        whole: set[int],
     ) -> bool:
-        """Builds the tree over everything since `mark`; False if nothing is left to trace.
-
-        whole: geometries whose triangles stay in one leaf each.
-        """
+        """Builds the tree over everything since `mark`; False if nothing is left to trace."""
         piece, first, vertex = mark
         if first == self.triangle_count:
             return False
@@ -217,8 +211,6 @@ class _Builder:
             spheres=np.array([s[2] for s in spheres], np.float32).reshape(-1, 4),
             sphere_triangle=np.array([s[0] - first for s in spheres], np.uint32),
             sphere_geometry=np.array([s[1] for s in spheres], np.uint32),
-            presplit=PRESPLIT,
-            whole=np.isin(rows[:, 3], list(whole)),
         )
         self.meshes.append(MeshData(first, tuple(ranges), blas, tuple(spheres)))
         return True
@@ -247,9 +239,7 @@ class _Builder:
             else:
                 ranges.append(self.add_piece(mesh, k, geometry, to_mesh))
             self.records.append((self.hit_group(primitive, material), number))
-        primitives = [scene.meshes[instance.mesh].primitives[k] for instance, _, k, _ in parts]
-        whole = {g for g, part in enumerate(parts) if _whole(primitives[g], scene.materials[part[3]])}
-        if self.close_mesh((0, 0, 0), ranges, spheres, whole):
+        if self.close_mesh((0, 0, 0), ranges, spheres):
             pose = np.eye(4)
             pose[:3, 3] = centre
             self.place(0, pose, layout.CONSTANTS["ID_NONE"], 0)
@@ -258,14 +248,9 @@ class _Builder:
         scene = self.scene
         meshes: dict[tuple[int, ...], int] = {}  # by identity of the primitives' arrays: equal data is stored once
         records: dict[tuple[int, tuple[int, ...]], int] = {}
-        whole: dict[tuple[int, ...], set[int]] = defaultdict(set)
-        for instance in scene.instances:  # any of a mesh's instances may bring a tinted material
-            mesh = scene.meshes[instance.mesh]
-            pairs = zip(mesh.primitives, instance.materials or _own_materials(mesh), strict=True)
-            whole[_mesh_key(mesh)] |= {g for g, (p, m) in enumerate(pairs) if _whole(p, scene.materials[m])}
         for number, instance in enumerate(scene.instances):
             mesh = scene.meshes[instance.mesh]
-            key = _mesh_key(mesh)
+            key = tuple(id(p.position) if isinstance(p, Triangles) else id(p) for p in mesh.primitives)
             if key not in meshes:
                 mark, ranges, spheres = self.mark(), [], []
                 for geometry, primitive in enumerate(mesh.primitives):
@@ -274,7 +259,7 @@ class _Builder:
                         ranges.append((self.triangle_count, 0))
                     else:
                         ranges.append(self.add_piece(mesh, geometry, geometry, None))
-                built = self.close_mesh(mark, ranges, spheres, whole[key])
+                built = self.close_mesh(mark, ranges, spheres)
                 meshes[key] = len(self.meshes) - 1 if built else -1
             row = meshes[key]
             if row < 0:
@@ -318,17 +303,6 @@ class _Builder:
             dropped=self.dropped,
             why_levels=why,
         )
-
-
-def _mesh_key(mesh: Mesh) -> tuple[int, ...]:
-    """Equal for meshes that share their arrays."""
-    return tuple(id(p.position) if isinstance(p, Triangles) else id(p) for p in mesh.primitives)
-
-
-def _whole(primitive: Triangles | Sphere, material: Material) -> bool:
-    """Must its triangles stay in one leaf: each hit tints, or the vertices move and boxes of pieces cannot follow?"""
-    moves = isinstance(primitive, Triangles) and (primitive.joints is not None or bool(primitive.morph_targets))
-    return moves or any_hit(material) == layout.CONSTANTS["ANY_HIT_TINT"]
 
 
 def any_hit(material: Material) -> int:

@@ -12,7 +12,7 @@ __all__ = ["Blas", "Tlas", "build_blas", "build_tlas", "load_or_build", "pack", 
 def warm_up() -> float:
     """Compile the builder, or load it from the cache, so that the first large model does not wait. Returns seconds."""
     started = time.perf_counter()
-    from glhybrid.bvh import build
+    from glhybrid.bvh import reinsert
 
-    build.warm_up()
+    reinsert.warm_up()
     return time.perf_counter() - started

@@ -321,15 +321,13 @@ def grow(fragments, nodes, todo, todo_centroids, step, max_leaf, median_depth, o
 @kernel(
     types.void(
         _constant(types.float32, 3), types.int64, types.int64, types.float64[::1], types.float64[::1], types.float64,
-        types.float32[::1], types.uint16[:, ::1], types.float32[::1], types.uint16[:, ::1], types.int64,
+        types.uint16[:, ::1], types.uint16[:, ::1], types.int64,
     )
 )  # fmt: skip
-def triangle_fragments(  # type: ignore[no-untyped-def]
-    position, first, last, grid_min, cells, pad, grid_step, fragments, area, centroids, row
-):  # fmt: skip
-    """Fragments first..last-1 of as many triangles, half their areas, and in row `row` the bounds of their centroids.
+def triangle_fragments(position, first, last, grid_min, cells, pad, fragments, centroids, row):  # type: ignore[no-untyped-def]
+    """Fragments first..last-1 of as many triangles, and the bounds of their centroids in row `row` of centroids.
 
-    cells: 1 / grid step, exactly. Rounded outward by the rule of `fragments.quantise`.
+    cells: 1 / grid step. Rounded outward by the rule of `fragments.quantise`.
     """
     clear(centroids, row)
     for i in range(first, last):
@@ -340,7 +338,6 @@ def triangle_fragments(  # type: ignore[no-untyped-def]
             fragments[i, axis] = 65535 - max(int(low), 0)  # int() of a positive number rounds down,
             fragments[i, 3 + axis] = min(int(high), 65535)  # and one more than that is past the next cell
         fragments[i, 6], fragments[i, 7] = i & 65535, i >> 16
-        area[i] = half_area(fragments, i, grid_step)
         merge_centroid(centroids, row, fragments, i)
 
 
@@ -372,19 +369,18 @@ def _parallel(function: Callable[[int, int, int], _T], count: int, threads: int)
         return list(pool.map(lambda part: function(*part), parts))
 
 
-def make_fragments(position: F32, grid_min: F32, grid_step: F32, pad: float, threads: int = 1) -> tuple[U16, F32, U16]:
-    """Of (T, 3, 3) vertices: fragments (T, 8), half the areas of their boxes (T,), bounds of their centroids (8,)."""
-    fragments, area = np.empty((len(position), 8), np.uint16), np.empty(len(position), np.float32)
-    bounds = np.zeros((threads, 8), np.uint16)
+def make_fragments(position: F32, grid_min: F32, grid_step: F32, pad: float, threads: int = 1) -> tuple[U16, U16]:
+    """Of (T, 3, 3) vertices: fragments (T, 8), and the bounds of their centroids (8,)."""
+    fragments, bounds = np.empty((len(position), 8), np.uint16), np.zeros((threads, 8), np.uint16)
     origin, cells = grid_min.astype(np.float64), 1 / grid_step.astype(np.float64)
     _parallel(
         lambda first, last, part: triangle_fragments(
-            position, first, last, origin, cells, pad, grid_step, fragments, area, bounds, part
+            position, first, last, origin, cells, pad, fragments, bounds, part
         ),
         len(position),
         threads,
     )
-    return fragments, area, bounds.max(0)
+    return fragments, bounds.max(0)
 
 
 def make_slots(position: F32, triangle: U32, geometry: U32, fragments: U16, threads: int = 1) -> U32:
@@ -482,12 +478,3 @@ def grow_tree(fragments: U16, centroids: U16, grid_step: F32, max_leaf: int = 4,
             refs += np.where(refs < LEAF, np.uint32(offset), np.uint32(0))
         offset += len(block)
     return Grown(nodes, depth, cost / _root_area(nodes, step))
-
-
-def warm_up() -> None:
-    """Run every kernel once; they were compiled or loaded when this module was imported."""
-    position = np.zeros((8, 3, 3), np.float32) + np.arange(8, dtype=np.float32)[:, None, None]
-    grid = (np.zeros(3, np.float32), np.ones(3, np.float32))
-    fragments, _, centroids = make_fragments(position, *grid, 0.0)
-    grow_tree(fragments, centroids, grid[1])
-    make_slots(position, np.arange(8, dtype=np.uint32), np.zeros(8, np.uint32), fragments)
