@@ -12,9 +12,11 @@ import numpy as np
 from glhybrid import layout
 from glhybrid.bvh import Blas, load_or_build
 from glhybrid.errors import GeometryError
-from glhybrid.scene import F32, F64, U32, Material, Mesh, Scene, Sphere, Triangles
+from glhybrid.scene import F32, F64, U32, Instance, Material, Mesh, Scene, Sphere, Triangles
 
 FLATTEN_GROWTH = 1.25  # triangles after flattening / before: above it, instances save more than one level gains
+SMALLEST_AREA = 1e-24  # m2, of the parallelogram: below it, products of three lengths underflow float32 in the ray test
+LARGEST = 1e12  # m: above it, they overflow
 FLATTEN_RATIO = 1e-4  # smallest instance / scene: below it, float32 about the scene's centre would bend its shape
 
 
@@ -84,15 +86,34 @@ def choose_levels(scene: Scene, asked: int | str) -> tuple[int, str]:
 
 
 def _flattenable(scene: Scene, mesh: int, world_from_object: F64) -> bool:
-    if not any(isinstance(p, Sphere) for p in scene.meshes[mesh].primitives):
+    if (
+        not any(isinstance(p, Sphere) for p in scene.meshes[mesh].primitives)
+        or not np.isfinite(world_from_object).all()
+    ):
         return True
     gram = world_from_object[:3, :3].T @ world_from_object[:3, :3]
     return bool(np.allclose(gram, np.eye(3) * gram[0, 0], rtol=0, atol=1e-6 * gram[0, 0]))
 
 
+def _check_reach(scene: Scene, levels: int) -> None:
+    """Raises GeometryError where a mesh is too large for the arithmetic of a ray."""
+    names: tuple[Mesh | Instance, ...] = scene.instances if levels == 1 else scene.meshes
+    boxes = (
+        scene.instance_bounds - scene.bounds().mean(0) if levels == 1 else np.array([m.bounds for m in scene.meshes])
+    )
+    reach = np.abs(boxes).reshape(-1, 6).max(1)
+    if (far := np.flatnonzero(reach > LARGEST)).size:
+        what = "instance" if levels == 1 else "mesh"
+        raise GeometryError(
+            f'{scene.name}: {what} "{names[far[0]].name}" reaches {reach[far[0]]:g} m from the middle, the limit is '
+            f"{LARGEST:g}: past it products of three lengths overflow float32; scale it down or leave it out"
+        )
+
+
 def build(scene: Scene, levels: int | str = "auto", *, tangents: bool = True, attributes: bool = True) -> Geometry:
     """Arrays, records and trees of a scene. Triangles with a non-finite vertex or no area are dropped and counted."""
     chosen, why = choose_levels(scene, levels)
+    _check_reach(scene, chosen)
     builder = _Builder(scene, tangents, attributes)
     if chosen == 1:
         builder.flatten()
@@ -138,7 +159,9 @@ class _Builder:
         index = piece.index
         if to_mesh is not None:
             linear = to_mesh[:3, :3]
-            position = (position.astype(np.float64) @ linear.T + to_mesh[:3, 3]).astype(np.float32)
+            with np.errstate(invalid="ignore", over="ignore"):  # vertices that are not finite are dropped below
+                position = (position.astype(np.float64) @ linear.T + to_mesh[:3, 3]).astype(np.float32)
+            linear = linear / np.abs(linear).max()  # directions are made unit again: no scale may under- or overflow
             normal = _unit(normal @ np.linalg.inv(linear).astype(np.float32))
             mirrored = np.linalg.det(linear) < 0
             if tangent is not None:
@@ -184,6 +207,17 @@ class _Builder:
         self.triangle_count += 1
         return self.triangle_count - 1, geometry, np.array([*centre, radius], np.float32)
 
+    def placed(self) -> list[tuple[int, Instance]]:
+        """Instances with their numbers. Those squashed flat or to a point, or not finite, count as dropped triangles."""
+        poses = np.array([i.world_from_object[:3] for i in self.scene.instances]).reshape(-1, 3, 4)
+        with np.errstate(invalid="ignore", over="ignore"):
+            volume, sides = np.abs(np.linalg.det(poses[:, :, :3])), np.linalg.norm(poses[:, :, :3], axis=1)
+            fine = np.isfinite(poses).all((1, 2)) & (volume > 1e-12 * sides.prod(1))
+        for i in np.flatnonzero(~fine).tolist():
+            pieces = self.scene.meshes[self.scene.instances[i].mesh].primitives
+            self.dropped += sum(len(p.index) if isinstance(p, Triangles) else 1 for p in pieces)
+        return [(i, self.scene.instances[i]) for i in np.flatnonzero(fine).tolist()]
+
     def mark(self) -> tuple[int, int, int]:
         """Where a mesh begins: pieces, triangles, vertices so far."""
         return len(self.triangles), self.triangle_count, self.vertex_count
@@ -220,7 +254,7 @@ class _Builder:
         centre = scene.bounds().mean(0)
         parts = [
             (instance, number, k, (instance.materials or _own_materials(scene.meshes[instance.mesh]))[k])
-            for number, instance in enumerate(scene.instances)
+            for number, instance in self.placed()
             for k in range(len(scene.meshes[instance.mesh].primitives))
         ]
         # By raster state, so that each state is one draw.
@@ -248,7 +282,7 @@ class _Builder:
         scene = self.scene
         meshes: dict[tuple[int, ...], int] = {}  # by identity of the primitives' arrays: equal data is stored once
         records: dict[tuple[int, tuple[int, ...]], int] = {}
-        for number, instance in enumerate(scene.instances):
+        for number, instance in self.placed():
             mesh = scene.meshes[instance.mesh]
             key = tuple(id(p.position) if isinstance(p, Triangles) else id(p) for p in mesh.primitives)
             if key not in meshes:
@@ -318,11 +352,11 @@ def draw_state(material: Material) -> tuple[int, int]:
 
 
 def solid(position: F32, index: U32) -> np.ndarray:
-    """(T,) bool: triangles whose vertices are finite and that have an area."""
+    """(T,) bool: triangles whose vertices are finite and whose area does not vanish in float32's products of lengths."""
     corner = position[index].astype(np.float64)
     with np.errstate(invalid="ignore", over="ignore"):
         normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    return np.isfinite(corner).all((1, 2)) & (normal != 0).any(1)
+    return np.isfinite(corner).all((1, 2)) & (np.abs(normal) > SMALLEST_AREA).any(1)
 
 
 def _own_materials(mesh: Mesh) -> tuple[int, ...]:

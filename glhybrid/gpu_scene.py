@@ -37,7 +37,7 @@ class GpuScene:
         slots[:, 7] |= self._slot_flags(slots[:, 7])
         self._tlas = None
         self.top_root = 0
-        if features.two_level:
+        if features.two_level and geometry.meshes:
             self._centre = scene.bounds().mean(0)
             self._tlas = bvh.build_tlas(self._instance_boxes() - self._centre)
             self.top_root = len(nodes)
@@ -97,10 +97,10 @@ class GpuScene:
             return
         self._origin = origin.copy()
         poses = self.geometry.world_from_object.copy()
-        poses[:, :3, 3] -= origin
-        self._instances["world_from_object"] = layout.columns(poses[:, :3])
-        inverse = np.linalg.inv(poses) if len(poses) else poses
-        self._instances["object_from_world"] = layout.columns(inverse[:, :3])
+        if len(poses):
+            poses[:, :3, 3] -= origin
+            self._instances["world_from_object"] = layout.columns(poses[:, :3])
+            self._instances["object_from_world"] = layout.columns(np.linalg.inv(poses)[:, :3])
         self.resources["Instances"].write(self._instances)
         if self.lights:
             self.resources["Lights"].write(light_rows(self.lights, origin))
