@@ -5,7 +5,7 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from glhybrid import layout
+from glhybrid import layout, sky_tree
 from glhybrid.context import Context
 from glhybrid.needs import Features
 from glhybrid.scene import F32, Environment
@@ -28,29 +28,25 @@ class Sky:
         if not features.environment_map:
             self.resources["environment_constant"] = tuple(environment.radiance[0, 0].tolist())
             return
-        mips = _mips(environment.radiance)
-        height, width = mips[0].shape[:2]
-        exact = self.resources["environment_map"] = gl.texture((width, height), 4, _rgba(mips[0]), dtype="f4")
+        radiance = np.maximum(environment.radiance, 0)
+        height, width = radiance.shape[:2]
+        exact = self.resources["environment_map"] = gl.texture((width, height), 4, _rgba(radiance), dtype="f4")
         exact.filter = (moderngl.NEAREST, moderngl.NEAREST)
-        blurred = gl.texture((width, height), 4, _rgba(mips[0]), dtype="f4")
-        blurred.build_mipmaps(0, len(mips) - 1)
-        for level, texels in enumerate(mips[1:], start=1):
-            blurred.write(_rgba(texels), level=level)
-        blurred.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
-        blurred.repeat_x, blurred.repeat_y = True, False
+        nodes = sky_tree.sky_nodes(radiance)
+        buffer = gl.buffer(nodes.tobytes())
+        mean = float(nodes[:32, :3].max(1) @ nodes[:32, 3]) / (4 * np.pi)
+        given = {"SkyNodes": buffer, "levels": sky_tree.LEVELS, "mean_radiance": mean}
         sizes = layout.PREFILTER_SIZES
         rough = self._atlas(context, sum(s + 2 for s in sizes), max(sizes) + 2)
         diffuse = self._atlas(context, layout.IRRADIANCE_SIZE + 2, layout.IRRADIANCE_SIZE + 2)
         program = shaders.compute("prefilter", features)
         column = 0
         for lobe, size in enumerate(sizes):
-            program.dispatch(
-                {"environment_mips": blurred, "lobe": lobe, "column": column, "out_atlas": rough}, (size + 2, size + 2)
-            )
+            program.dispatch(given | {"lobe": lobe, "column": column, "out_atlas": rough}, (size + 2, size + 2))
             column += size + 2
         size = layout.IRRADIANCE_SIZE + 2
-        program.dispatch({"environment_mips": blurred, "lobe": -1, "column": 0, "out_atlas": diffuse}, (size, size))
-        blurred.release()
+        program.dispatch(given | {"lobe": -1, "column": 0, "out_atlas": diffuse}, (size, size))
+        buffer.release()
         self.resources["environment_rough"], self.resources["environment_diffuse"] = rough, diffuse
 
     @staticmethod
@@ -73,20 +69,3 @@ class Sky:
 
 def _rgba(rgb: F32) -> bytes:
     return np.concatenate([rgb, np.ones_like(rgb[..., :1])], axis=-1, dtype=np.float32).tobytes()
-
-
-def _mips(radiance: F32) -> list[F32]:
-    """Halved until one texel is left; rows weighted by their solid angle, so that the poles do not shine brighter."""
-    levels = [np.maximum(radiance, 0).astype(np.float32)]
-    while max(levels[-1].shape[:2]) > 1:
-        texels = levels[-1]
-        height, width = texels.shape[:2]
-        weight = np.sin((np.arange(height) + 0.5) / height * np.pi)[:, None, None].astype(np.float32)
-        if height > 1:
-            rows = 2 * (height // 2)
-            pair = (texels * weight)[:rows].reshape(-1, 2, width, 3).sum(1)
-            texels = pair / weight[:rows].reshape(-1, 2, 1, 1).sum(1)
-        if width > 1:
-            texels = texels[:, : 2 * (width // 2)].reshape(texels.shape[0], -1, 2, 3).mean(2)
-        levels.append(np.ascontiguousarray(texels, np.float32))
-    return levels

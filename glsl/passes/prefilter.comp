@@ -5,10 +5,14 @@
 #include "lib/brdf.glsl"
 
 layout(local_size_x = 8, local_size_y = 8) in;
-layout(std430) readonly buffer SkyNodes { vec4 sky_nodes[]; };   // two each: mean radiance, sr; centre of light, radius in rad
+layout(std430) readonly buffer SkyNodes { vec4 sky_nodes[]; };   // three each: glhybrid/sky_tree.py
+uniform int levels;                    // of the tree
+uniform float mean_radiance;           // of the sky
 uniform int lobe;                      // level of PREFILTER_SIZES; -1: the cosine
 uniform int column;                    // where the map lies in the atlas
 layout(rgba16f) writeonly uniform image2D out_atlas;
+
+const float FLATNESS = 0.25;           // radius of a node over the distance in which the lobe changes
 
 // What light from a direction counts for, by its cosine to n. Half vectors lie at half the angle: 1 - N.H^2 = (1 - c) / 2.
 float lobe_at(float c, float a2) {
@@ -32,22 +36,21 @@ void main() {
         int level = 0, first = 0;                                          // first node of the level
         ivec2 at = ivec2(root & 7, root >> 3);
         while (true) {
-            int i = 2 * (first + (at.y << (level + 3)) + at.x);
+            int i = 3 * (first + (at.y << (level + 3)) + at.x);
             vec4 light = sky_nodes[i], centre = sky_nodes[i + 1];
             float c = dot(n, centre.xyz);
-            // Distance over which the lobe changes, its width near the middle and the angle far from it. Brighter nodes are
-            // taken smaller.
-            float reach = sqrt(4.0 * a2 + 2.0 - 2.0 * c);
-            float flat = SKY_FLATNESS * clamp(inversesqrt(max3(light.rgb) / SKY_MEAN), 0.2, 1.0);
-            if (level < SKY_LEVELS - 1 && centre.w > flat * reach) {
+            // Angle over which the lobe changes: its width near the middle, the distance from it far away; 0.4 for the horizon
+            // and the cosine. Brighter nodes are taken smaller.
+            float reach = min(sqrt(4.0 * a2 + 2.0 - 2.0 * c), 0.4);
+            float limit = FLATNESS * clamp(inversesqrt(max3(light.rgb) / mean_radiance), 0.2, 1.0) * reach;
+            if (level < levels - 1 && centre.w > limit) {
                 first += 32 << (2 * level);
                 level++;
                 at *= 2;
                 continue;
             }
-            float k = lobe_at(c, a2) * light.w;
-            sum += k * light.rgb;
-            whole += k;
+            sum += lobe_at(c, a2) * light.w * light.rgb;
+            whole += lobe_at(dot(n, sky_nodes[i + 2].xyz), a2) * light.w;
             while (level > 0 && (at.x & at.y & 1) == 1) {                  // the last of four: up
                 level--;
                 first -= 32 << (2 * level);
