@@ -121,7 +121,7 @@ def build_blas(
 
     position: (T, 3, 3) float32, object space, metres; triangle, geometry: (T,) uint32, default 0..T-1 and 0.
     spheres: (K, 4) float32 centre and radius, with their own ids, default 0..K-1 and 0.
-    reinsert: spend a fifth to a half more time on a tree that is up to 27 % cheaper to trace (reinsert.py).
+    reinsert: spend up to four fifths more time on a tree that is up to 30 % cheaper to trace (reinsert.py).
     Degenerate triangles are the caller's to drop. Raises GeometryError where there is nothing, or something is not
     finite or past 1e18, or there are 2^27 primitives or more; it names the triangle.
     """

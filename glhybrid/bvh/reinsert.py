@@ -3,13 +3,13 @@
 Bittner, Hapala & Havran 2013, "Fast Insertion-Based Optimization of Bounding Volume Hierarchies", with the search of
 Meister & Bittner 2018, "Parallel Reinsertion for Bounding Volume Hierarchy Optimization": from a node upward, the whole
 tree is searched for the sibling under which it adds the least area, and branches that cannot win are left out. Each
-round takes the largest twentieth of the nodes, whose boxes rays enter most, and rounds end when they stop paying.
+round takes the largest tenth of the nodes, whose boxes rays enter most, and rounds end when they stop paying.
 
 Why: steps a ray (node visits and triangle tests; geometric mean of camera, diffuse, mirror and shadow rays of six
-views) against binned SAH alone: Sponza 0.76, the built-in atrium 0.73, an apartment 0.76, a game level 0.79, scans and
-evenly tessellated things 0.95 to 1.00; for a fifth to a half more time to build. Rejected: splitting triangles before
-the build (Karras & Aila 2013, section 5), which gave 0.76, 1.61, 0.93 and 0.80 on the first four, and less than nothing
-on top of this.
+views) against binned SAH alone: Sponza 0.70, the built-in atrium 0.73, an apartment 0.73, a game level 0.73, scans and
+evenly tessellated things 0.93 to 1.00; for a fifth to four fifths more time to build. Rejected: splitting triangles
+before the build (Karras & Aila 2013, section 5), which gave 0.76, 1.61, 0.93 and 0.80 on the first four, and less than
+nothing on top of this.
 """
 
 import numpy as np
@@ -20,10 +20,10 @@ from glhybrid.bvh.fragments import LEAF, Grown
 from glhybrid.jit import kernel
 from glhybrid.scene import F32, U16
 
-SHARE = 0.05  # of all nodes are tried in a round
+SHARE, MOST = 0.1, 100_000  # of all nodes are tried in a round
 ROUNDS = 8
 WORTH = 0.004  # of the tree's cost that a round must gain for another one
-DEEPER = 4  # levels that the tree may gain: a deeper stack slows every ray down
+DEEPER = 8  # levels that the tree may gain: a deeper stack slows every ray down
 STACK = 128
 
 _boxes, _rows, _pairs = types.uint16[:, ::1], types.int64[::1], types.int64[:, ::1]
@@ -176,7 +176,7 @@ def improve(tree: Grown, fragments: U16, grid_step: F32, rounds: int = ROUNDS) -
     boxes, children = np.zeros((rows, 8), np.uint16), np.empty((rows, 2), np.int64)
     parent, height, area = np.zeros(rows, np.int64), np.zeros(rows, np.int64), np.empty(rows, np.float32)
     link(tree.nodes, boxes, children, parent, height, area, step)
-    count, worth = max(1, int(SHARE * rows)), WORTH * tree.cost * float(area[0])
+    count, worth = max(1, min(int(SHARE * rows), MOST)), WORTH * tree.cost * float(area[0])
     deepest = min(tree.depth + DEEPER, STACK - 2)
     for _ in range(rounds):
         largest = np.argpartition(area, rows - count)[rows - count :]
