@@ -5,7 +5,7 @@
 # PYTHON=python3.12 chooses the interpreter (>= 3.11).
 
 BIN := .venv/bin
-SETUP := scripts/setup.sh
+SETUP := .ci/setup.sh
 DEMO := out/atrium.png
 
 .PHONY: help setup setup-dev demo test clean
