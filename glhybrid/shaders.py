@@ -180,6 +180,10 @@ class Shaders:
             self._programs[key] = self._link(name, (source,), lambda: self._context.gl.compute_shader(text))
         return self._programs[key]
 
+    def text(self, stem: str) -> bytes:
+        """Source of glsl/passes/STEM.comp with its includes: what a result kept on disk depends on."""
+        return self._source(f"passes/{stem}.comp", Features())[1].encode()
+
     def raster(self, stem: str, features: Features) -> Program:
         """glsl/passes/STEM.vert and STEM.frag, one varying integer output, for these features."""
         vertex, vertex_text, vertex_named = self._source(f"passes/{stem}.vert", features)

@@ -5,11 +5,11 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from glhybrid import layout, sky_tree
+from glhybrid import layout, sky_cache, sky_tree
 from glhybrid.context import Context
 from glhybrid.needs import Features
 from glhybrid.scene import F32, Environment
-from glhybrid.shaders import Shaders
+from glhybrid.shaders import Program, Shaders
 
 
 class Sky:
@@ -32,22 +32,19 @@ class Sky:
         height, width = radiance.shape[:2]
         exact = self.resources["environment_map"] = gl.texture((width, height), 4, _rgba(radiance), dtype="f4")
         exact.filter = (moderngl.NEAREST, moderngl.NEAREST)
-        nodes = sky_tree.sky_nodes(radiance)
-        buffer = gl.buffer(nodes.tobytes())
-        mean = float(nodes[:32, :3].max(1) @ nodes[:32, 3]) / (4 * np.pi)
-        given = {"SkyNodes": buffer, "levels": sky_tree.LEVELS, "mean_radiance": mean}
         sizes = layout.PREFILTER_SIZES
         rough = self._atlas(context, sum(s + 2 for s in sizes), max(sizes) + 2)
         diffuse = self._atlas(context, layout.IRRADIANCE_SIZE + 2, layout.IRRADIANCE_SIZE + 2)
-        program = shaders.compute("prefilter", features)
-        column = 0
-        for lobe, size in enumerate(sizes):
-            program.dispatch(given | {"lobe": lobe, "column": column, "out_atlas": rough}, (size + 2, size + 2))
-            column += size + 2
-        size = layout.IRRADIANCE_SIZE + 2
-        program.dispatch(given | {"lobe": -1, "column": 0, "out_atlas": diffuse}, (size, size))
-        buffer.release()
         self.resources["environment_rough"], self.resources["environment_diffuse"] = rough, diffuse
+        program = shaders.compute("prefilter", features)
+        name = sky_cache.key(radiance.tobytes(), shaders.text("prefilter"), str(context.device).encode())
+        bytes_rough, bytes_diffuse = 8 * rough.width * rough.height, 8 * diffuse.width * diffuse.height
+        if kept := sky_cache.read(name, bytes_rough + bytes_diffuse):
+            rough.write(kept[:bytes_rough])
+            diffuse.write(kept[bytes_rough:])
+        else:
+            _convolve(context, program, radiance, rough, diffuse)
+            sky_cache.write(name, rough.read() + diffuse.read())
 
     @staticmethod
     def _atlas(context: Context, width: int, height: int) -> moderngl.Texture:
@@ -65,6 +62,23 @@ class Sky:
             if isinstance(texture, moderngl.Texture):
                 texture.release()
         self.resources.clear()
+
+
+def _convolve(
+    context: Context, program: Program, radiance: F32, rough: moderngl.Texture, diffuse: moderngl.Texture
+) -> None:
+    """Fills the atlas of growing roughness, and the cosine's."""
+    nodes = sky_tree.sky_nodes(radiance)
+    buffer = context.gl.buffer(nodes.tobytes())
+    mean = float(nodes[:32, :3].max(1) @ nodes[:32, 3]) / (4 * np.pi)
+    given = {"SkyNodes": buffer, "levels": sky_tree.LEVELS, "mean_radiance": mean}
+    column = 0
+    for lobe, size in enumerate(layout.PREFILTER_SIZES):
+        program.dispatch(given | {"lobe": lobe, "column": column, "out_atlas": rough}, (size + 2, size + 2))
+        column += size + 2
+    size = layout.IRRADIANCE_SIZE + 2
+    program.dispatch(given | {"lobe": -1, "column": 0, "out_atlas": diffuse}, (size, size))
+    buffer.release()
 
 
 def _rgba(rgb: F32) -> bytes:
