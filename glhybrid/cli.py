@@ -1,7 +1,7 @@
-"""The command line: `glhybrid render | plan | scenes | doctor`.
+"""The command line: `glhybrid render | plan | bench | scenes | doctor`.
 
-Exit codes: 0 done; 2 bad input or usage; 3 no usable OpenGL; 130 interrupted. A user's mistake is one line on stderr,
-never a traceback. Results go to stdout, everything else to stderr. Nothing heavy is imported before a verb runs.
+Exit codes: 0 done; 1 a bench whose hits differ; 2 bad input or usage; 3 no usable OpenGL; 130 interrupted. A user's
+mistake is one line on stderr, never a traceback. Results go to stdout, everything else to stderr. Nothing heavy is imported before a verb runs.
 """
 
 import json
@@ -187,6 +187,40 @@ def plan(scene: SceneName, /, *, common: Common = Common()) -> int:
     else:
         console.tree(result)
     return 0
+
+
+@app.command
+def bench(
+    *scene: Annotated[
+        str, Parameter(help="Scenes as elsewhere, or the bench's own: hall, spheres, city, hall:100k; all by default.")
+    ],
+    quick: Annotated[bool, Parameter(help="Under a minute on two cores: fewer variants, sizes and rays.")] = False,
+    peers: Annotated[bool, Parameter(help="Embree and Mitsuba on the same rays, where installed.")] = False,
+    device: Annotated[str, Parameter(help="auto, gpu, software, egl:N, cuda:N or osmesa.")] = "auto",
+    size: Annotated[
+        str | None, Parameter(help="Pixels, WxH; 1920x1080 on a GPU, else 1280x720, or 640x360 with --quick.")
+    ] = None,
+    allow_outside: Annotated[bool, Parameter(help="Let a scene use files outside its folder.")] = False,
+    json: Annotated[bool, Parameter(help="Print the result as one JSON object.")] = False,
+    quiet: Annotated[bool, Parameter(help="No messages but errors.")] = False,
+) -> int:
+    """Measure ray rates, frames and the tree builder; exit status 1 if any two variants find different hits."""
+    common = Common(allow_outside=allow_outside) if size is None else Common(size=size, allow_outside=allow_outside)
+    pixels = None if size is None else common.pixels()
+    from glhybrid import bench as benchmark
+    from glhybrid.bench.report import show
+
+    with console.progress(not (quiet or json)) as progress:
+        report = benchmark.run(
+            scene, quick=quick, with_peers=peers, device=device, size=pixels, load=common.load, progress=progress
+        )
+    if json:
+        _print_json(report.to_dict())
+    else:
+        show(report)
+    for failure in report.failures:
+        console.error(failure)
+    return 1 if report.failures else 0
 
 
 @app.command

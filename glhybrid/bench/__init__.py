@@ -1,0 +1,232 @@
+"""`glhybrid bench`: how fast this machine traces, draws and builds, and that all that is timed finds the same hits.
+
+run -> for every scene: scenes.make or a file -> rays.Tracer -> clock -> check -> Row
+       frames.measure, builds.measure -> Report
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glhybrid.bench import builds, clock, frames, peers, scenes
+from glhybrid.bench.clock import Sample
+from glhybrid.bench.rays import ANY_HIT, CLASSES, Tracer, Variant, variants
+from glhybrid.bench.report import Report, Row, machine, sm_clock_mhz
+from glhybrid.context import Context
+from glhybrid.scene import Scene
+from glhybrid.shaders import Shaders
+from glhybrid.view import choose_camera
+
+Progress = Callable[[str, int, int], None]
+SIZES = {"10k": 10_000, "100k": 100_000, "1m": 1_000_000, "4m": 4_000_000}
+QUICK_SIZES = ("10k", "100k", "1m")
+TUNED_SIZE = "100k"  # where --quick tries every variant
+SAME_T = 1e-5  # relative
+ROUNDING = 4 * 2.0**-24  # of the scene's extent: what coordinates in float32 cannot tell
+OTHER_ROUNDING = 1e-4  # share of rays that may differ where vertices are rounded otherwise, or edges are not watertight
+Works = dict[tuple[str, Any], tuple[Callable[[], None], Callable[[], NDArray[Any]]]]
+
+
+def run(
+    names: Sequence[str] = (),
+    *,
+    quick: bool = False,
+    with_peers: bool = False,
+    device: str = "auto",
+    size: tuple[int, int] | None = None,
+    load: Callable[[str], Scene] | None = None,
+    progress: Progress = lambda stage, done, total: None,
+    context: Context | None = None,
+) -> Report:
+    """Measures the scenes named, or the bench's own and the built-in ones.
+
+    names: files, built-in scenes, or scenes of the bench as `hall`, `hall:100k`. size: pixels, one ray of each class
+    for each; default 1920x1080 on a GPU, 1280x720 or, if quick, 640x360 on a software rasteriser.
+    Raises what loading, devices and shaders raise. A hit that differs is no exception but one of `failures`.
+    """
+    from glhybrid.context import open_context
+
+    opened = context or open_context(device)
+    try:
+        return _Bench(opened, quick, with_peers, size, progress).run(names, load or _load)
+    finally:
+        if context is None:
+            opened.close()
+
+
+def _load(name: str) -> Scene:
+    import glhybrid
+
+    return glhybrid.load(name)
+
+
+class _Bench:
+    def __init__(
+        self, context: Context, quick: bool, with_peers: bool, size: tuple[int, int] | None, progress: Progress
+    ) -> None:
+        self.context, self.quick, self.with_peers, self.progress = context, quick, with_peers, progress
+        self.software = context.device.software
+        small = (640, 360) if quick else (1280, 720)
+        self.size = size or (small if self.software else (1920, 1080))
+        self.repeats = (3 if quick else 7) if self.software else (20 if quick else 50)
+        self.shaders = Shaders(context)
+        self.report = Report(
+            machine(
+                context.device.to_dict(),
+                cores=clock.cores(context),
+                size=list(self.size),
+                quick=quick,
+                repeats=self.repeats,
+                warm_up_s=0.0 if self.software else clock.WARM_UP_S,
+                clock="CPU time / cores" if self.software else "GL timestamps",
+            )
+        )
+        if with_peers:
+            for missing in (peers.Embree.missing, peers.mitsuba_missing()):
+                if missing:
+                    self.report.note(f"skipped: {missing}")
+
+    def run(self, names: Sequence[str], load: Callable[[str], Scene]) -> Report:
+        own = [name for name in names if name.partition(":")[0] in scenes.SITES]
+        others = [name for name in names if name not in own]
+        jobs = [job for name in own or ([] if names else scenes.SITES) for job in self._sizes(name)]
+        drawn = others if names else [scene.name for scene in _builtin()]
+        total, done = len(jobs) + len(others) + len(drawn), 0
+        try:
+            for site, size in jobs:
+                self.progress(f"rays: {site} {size}", done, total)
+                scene = scenes.make(site, SIZES[size])
+                everything = not self.quick or size == TUNED_SIZE or bool(names)
+                self.trace(scene.name, scene, everything, build=site == jobs[0][0])
+                done += 1
+            for name in others:
+                self.progress(f"rays: {name}", done, total)
+                scene = load(name)
+                self.trace(Path(name).stem, scene, everything=True, build=True)
+                done += 1
+            for name in drawn:
+                self.progress(f"frames: {name}", done, total)
+                self.draw(Path(name).stem, load(name))
+                done += 1
+        finally:
+            self.shaders.release()
+        self.progress("done", total, total)
+        return self.report
+
+    def _sizes(self, name: str) -> list[tuple[str, str]]:
+        from glhybrid.errors import SettingError, unknown
+
+        site, _, size = name.partition(":")
+        if size:
+            if size.lower() not in SIZES:
+                raise SettingError(f"{name}: {unknown('size', size, SIZES)}")
+            return [(site, size.lower())]
+        return [(site, size) for size in (QUICK_SIZES if self.quick else SIZES)]
+
+    def draw(self, name: str, scene: Scene) -> None:
+        """Whole frames of a scene as it is."""
+        from glhybrid.renderer import Renderer
+
+        with Renderer(context=self.context) as renderer:
+            repeats = (3 if self.quick else 7) if self.software else 100
+            self.report.frames.append(frames.measure(renderer, name, scene, self.size, repeats))
+
+    def trace(self, name: str, scene: Scene, everything: bool, build: bool) -> None:
+        """All classes of rays of one scene by every variant, or by the renderer's own, and by the peers."""
+        with Tracer(self.context, self.shaders, scene, choose_camera(scene, None), self.size) as tracer:
+            tried = variants(tracer.scene, self.software) if everything else [tracer.own]
+            classes = [c for c in CLASSES if len(tracer.rays[c])]
+            for missing in set(CLASSES) - set(classes):
+                self.report.note(f"{name}: the camera sees nothing that sends {missing} rays")
+            ours: Works = {(c, v): tracer.launch(c, v) for c in classes for v in tried}
+            corners = tracer.triangles() if self.with_peers or build else None
+            theirs: Works = {}
+            if self.with_peers and corners is None:
+                self.report.note(f"{name}: no peers, for it has analytic spheres or too many triangles to flatten")
+            elif self.with_peers and not peers.Embree.missing and corners is not None:
+                embree = peers.Embree(corners)
+                theirs = {(c, embree.name): embree.launch(c, tracer.rays[c]) for c in classes}
+            samples = self._time(ours, theirs)
+            found = {key: read() for key, (_, read) in (ours | theirs).items()}
+            if self.with_peers and corners is not None and not peers.mitsuba_missing():
+                answers, why = peers.ask_mitsuba(corners, {c: tracer.rays[c] for c in classes}, self.repeats)
+                if why:
+                    self.report.note(f"{name}: {why}")
+                for c, (sample, result) in answers.items():
+                    samples[c, "mitsuba"], found[c, "mitsuba"] = sample, result
+            self._check(name, tracer, found)
+            self._rows(name, scene, tracer, samples)
+            if build and corners is not None:
+                self.report.builds.append(builds.measure(name, corners, 1 if self.quick else 3))
+
+    def _time(self, ours: Works, theirs: Works) -> dict[tuple[str, Any], Sample]:
+        """A software rasteriser and its peers in turns; a GPU first, without a pause."""
+        finish = self.context.gl.finish
+        if self.software:
+            return clock.on_cpu({key: work for key, (work, _) in (ours | theirs).items()}, self.repeats, finish)
+        samples = clock.on_gpu(self.context, {key: work for key, (work, _) in ours.items()}, self.repeats)
+        if "sm_clock_mhz" not in self.report.machine:
+            self.report.machine["sm_clock_mhz"] = sm_clock_mhz(self.context.device.cuda)
+        return samples | clock.on_cpu({key: work for key, (work, _) in theirs.items()}, 3)
+
+    def _check(self, name: str, tracer: Tracer, found: dict[tuple[str, Any], NDArray[Any]]) -> None:
+        """Every variant and peer against the renderer's own variant, ray by ray."""
+        extent = float(np.abs(tracer.scene.bounds() - tracer.view.origin).max())
+        for (c, who), result in found.items():
+            own = found[c, tracer.own]
+            wrong = differing(c, own, result, extent)
+            same_tree = isinstance(who, Variant) and who.levels == tracer.own.levels
+            if len(wrong) > (0 if same_tree else OTHER_ROUNDING * len(own)):
+                i = int(wrong[0])
+                self.report.failures.append(
+                    f"{name}, {tracer.scene.triangle_count()} triangles, {c} rays: {who} differs from {tracer.own} at "
+                    f"{len(wrong)} of {len(own)}, first at ray {i}: {result[i]} against {own[i]}"
+                )
+
+    def _rows(self, name: str, scene: Scene, tracer: Tracer, samples: dict[tuple[str, Any], Sample]) -> None:
+        per_core = {c: _rate(tracer, c, s.median("cpu")) for (c, who), s in samples.items() if who == "embree"}
+        cores = clock.cores(self.context)
+        for (c, who), sample in samples.items():
+            ours = isinstance(who, Variant)
+            kind = "cpu" if self.software or not ours else ("gpu" if sample.gpu else "wall")
+            rate = _rate(tracer, c, sample.median(kind))
+            row = Row(
+                name, scene.triangle_count(), c, str(who), len(tracer.rays[c]), kind, rate, sample.spread(kind),
+                wall_ms=sample.median("wall"), cpu_ms=sample.median("cpu"),
+                gpu_ms=sample.median("gpu") if sample.gpu else None,
+                ratio_embree_per_core=rate / per_core[c] if c in per_core else None,
+                own=who == tracer.own, peer=not ours,
+            )  # fmt: skip
+            if kind == "wall" and not self.software:
+                self.report.note("this driver's timer queries disagree with the clock: rates are by wall time")
+            if ours and self.software:
+                row = replace(row, mrays_s=rate * cores)
+            if who == tracer.own and not self.quick:
+                row = replace(row, steps_per_ray=tracer.steps(c, tracer.own))
+            self.report.rows.append(row)
+
+
+def _builtin() -> list[Any]:
+    from glhybrid.load.builtin import scenes as builtin_scenes
+
+    return list(builtin_scenes())
+
+
+def _rate(tracer: Tracer, name: str, milliseconds: float) -> float:
+    """Million rays a second."""
+    return len(tracer.rays[name]) / max(milliseconds, 1e-6) / 1e3
+
+
+def differing(name: str, own: NDArray[Any], other: NDArray[Any], extent: float) -> NDArray[np.int64]:
+    """Rays of a class for which two answers differ: in being blocked, in hitting at all, or in the distance."""
+    if name == ANY_HIT:
+        return np.flatnonzero(own.astype(bool) != other.astype(bool))
+    a, b = own.astype(np.float64), other.astype(np.float64)
+    hit = np.isfinite(a)
+    with np.errstate(invalid="ignore"):
+        far = ~(np.abs(a - b) <= SAME_T * np.abs(a) + ROUNDING * extent)
+    return np.flatnonzero((hit != np.isfinite(b)) | hit & far)

@@ -1,0 +1,110 @@
+"""Times of GPU work, three clocks side by side, because each of them lies somewhere.
+
+- GL timestamps: what a GPU itself says. Software rasterisers report almost nothing for half a second of work.
+- Wall time around finish(): true everywhere, but on a busy machine it measures the neighbours.
+- CPU seconds of the process: what a software rasteriser spent, on all threads; divided by the cores it is the time on
+  an idle machine.
+
+A GPU with only an OpenGL context lowers its clock within two seconds of idling, five times on some, and raises it again
+only under unpaced load. So all launches of a measurement are queued behind a warm-up without a pause, and their queries
+are read at the end.
+"""
+
+import ctypes
+import os
+import time
+from collections.abc import Callable, Hashable, Mapping
+from ctypes import c_uint, c_uint64
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+import numpy as np
+
+from glhybrid.context import Context
+from glhybrid.gl import GL_QUERY_RESULT, GL_TIMESTAMP
+
+WARM_UP_S = 0.5  # of unpaced work: an H100 needs 0.29 s to reach its clock
+LAUNCHES_AT_ONCE = 4  # between two looks at the time during warm-up
+K = TypeVar("K", bound=Hashable)
+Work = Callable[[], object]
+
+
+@dataclass
+class Sample:
+    """Times of one piece of work, ms a launch. gpu is empty without timer queries; wall may be one mean of a batch."""
+
+    wall: list[float] = field(default_factory=list)
+    cpu: list[float] = field(default_factory=list)
+    gpu: list[float] = field(default_factory=list)
+
+    def median(self, clock: str) -> float:
+        return float(np.median(getattr(self, clock)))
+
+    def spread(self, clock: str) -> float:
+        """Distance between the quartiles, as a share of the median."""
+        low, middle, high = np.percentile(getattr(self, clock), (25, 50, 75))
+        return float((high - low) / middle) if middle > 0 else 0.0
+
+
+def cores(context: Context | None = None) -> int:
+    """Threads that a software rasteriser works on: the processors of this process, or what LP_NUM_THREADS says."""
+    asked = os.environ.get("LP_NUM_THREADS", "")
+    if context is not None and "llvmpipe" in context.device.renderer and asked.isdecimal():
+        return max(int(asked), 1)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def on_cpu(works: Mapping[K, Work], repeats: int, finish: Work = lambda: None) -> dict[K, Sample]:
+    """Runs everything in turns, so that a noisy neighbour meets all alike. Each is run once before, untimed."""
+    samples = {key: Sample() for key in works}
+    for work in works.values():
+        work()
+    finish()
+    for _ in range(repeats):
+        for key, work in works.items():
+            wall, cpu = time.perf_counter(), time.process_time()
+            work()
+            finish()
+            samples[key].cpu.append((time.process_time() - cpu) * 1e3)
+            samples[key].wall.append((time.perf_counter() - wall) * 1e3)
+    return samples
+
+
+def on_gpu(context: Context, works: Mapping[K, Work], repeats: int, warm_up_s: float = WARM_UP_S) -> dict[K, Sample]:
+    """Warms up with all of it, then queues `repeats` launches of each, every one between two timestamps."""
+    if not works:
+        return {}
+    gl, started = context.raw, time.perf_counter()
+    while True:
+        for work in works.values():
+            for _ in range(LAUNCHES_AT_ONCE):
+                work()
+        gl.glFinish()
+        if time.perf_counter() - started >= warm_up_s:
+            break
+    count = len(works) * repeats * 2
+    queries = (c_uint * count)()
+    gl.glGenQueries(count, queries)
+    samples, at = {key: Sample() for key in works}, 0
+    for key, work in works.items():
+        wall, cpu = time.perf_counter(), time.process_time()
+        for _ in range(repeats):
+            gl.glQueryCounter(queries[at], GL_TIMESTAMP)
+            work()
+            gl.glQueryCounter(queries[at + 1], GL_TIMESTAMP)
+            at += 2
+        gl.glFinish()
+        samples[key].wall.append((time.perf_counter() - wall) / repeats * 1e3)
+        samples[key].cpu.append((time.process_time() - cpu) / repeats * 1e3)
+    stamps = np.zeros(count, np.uint64)
+    value = c_uint64(0)
+    for i in range(count):
+        gl.glGetQueryObjectui64v(queries[i], GL_QUERY_RESULT, ctypes.byref(value))
+        stamps[i] = value.value
+    gl.glDeleteQueries(count, queries)
+    spans = (stamps[1::2].astype(np.float64) - stamps[0::2].astype(np.float64)).reshape(-1, repeats) / 1e6
+    for key, span in zip(works, spans, strict=True):
+        # A driver that says half of what really passed is not believed.
+        if np.median(span) > 0.5 * samples[key].wall[0]:
+            samples[key].gpu = span.tolist()
+    return samples
