@@ -19,7 +19,8 @@ vec3 specular_albedo(Bsdf b, vec3 v) {
 
 // Does the light reach the front of this surface at all, if nothing is in between?
 bool faces(Surface s, vec3 l) {
-    return dot(s.point.n_geo, l) > 0.0 && (dot(s.bsdf.n, l) > 0.0 || (CLEARCOAT && dot(s.bsdf.n_coat, l) > 0.0)) && !s.unlit;
+    // Mended terminators (passes/shadow.comp) believe the vertex normals, not the facet.
+    return (TERMINATOR || dot(s.point.n_geo, l) > 0.0) && (dot(s.bsdf.n, l) > 0.0 || (CLEARCOAT && dot(s.bsdf.n_coat, l) > 0.0)) && !s.unlit;
 }
 
 // The share of a light that arrives here: 0 or 1, between through tinted surfaces.
