@@ -1,4 +1,4 @@
-"""The shadow terminator: facets of a smooth-shaded ball shadow what its vertex normals promise is lit, unless asked not to."""
+"""The shadow terminator: facets of a smooth ball shadow what its vertex normals promise is lit, unless mended."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ SUN = np.array([-1.0, -0.3, 0.0]) / np.linalg.norm([1.0, 0.3, 0.0])  # low: alon
 
 
 def falsely_dark(context: Context, segments: int, terminator: bool) -> float:
-    """Share of pixels that face the sun by their normal and are shadowed all the same; the ball is convex: none should be."""
+    """Share of pixels that face the sun by their normal and are shadowed all the same; on a ball none should be."""
     ball = gh.Mesh(name="ball", primitives=(shape("sphere", radius=1.0, segments=segments),))
     scene = gh.Scene(
         name="terminator",
