@@ -14,7 +14,7 @@ _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
 def sky_nodes(radiance: F32) -> F32:
-    """(N, 12) float32, level by level from the coarsest, rows within. Three columns of four: mean radiance, solid angle;
+    """(N, 12) float32, level by level from the coarsest, rows within. Three fours: mean radiance, solid angle;
     centre of light, radius; centre of the node, 0.
 
     radiance: (H, W, 3) equirect. Centres are unit directions, that of light weighted by luminance; radius: half the

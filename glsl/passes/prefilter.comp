@@ -12,7 +12,7 @@ uniform int lobe;                      // level of PREFILTER_SIZES; -1: the cosi
 uniform int column;                    // where the map lies in the atlas
 layout(rgba16f) writeonly uniform image2D out_atlas;
 
-const float FLATNESS = 0.25;           // radius of a node over the distance in which the lobe changes
+const float FLATNESS = 0.3;            // radius of a node over the angle in which the lobe changes
 
 // What light from a direction counts for, by its cosine to n. Half vectors lie at half the angle: 1 - N.H^2 = (1 - c) / 2.
 float lobe_at(float c, float a2) {
@@ -39,10 +39,10 @@ void main() {
             int i = 3 * (first + (at.y << (level + 3)) + at.x);
             vec4 light = sky_nodes[i], centre = sky_nodes[i + 1];
             float c = dot(n, centre.xyz);
-            // Angle over which the lobe changes: its width near the middle, the distance from it far away; 0.4 for the horizon
-            // and the cosine. Brighter nodes are taken smaller.
-            float reach = min(sqrt(4.0 * a2 + 2.0 - 2.0 * c), 0.4);
-            float limit = FLATNESS * clamp(inversesqrt(max3(light.rgb) / mean_radiance), 0.2, 1.0) * reach;
+            // That angle: the lobe's width near its middle, the distance from it far away, at most 0.4 where the horizon is
+            // within the lobe. Brighter nodes are taken smaller.
+            float reach = min(sqrt(4.0 * a2 + 2.0 - 2.0 * c), a2 < 0.02 ? 1.5 : 0.4);
+            float limit = FLATNESS * clamp(inversesqrt(max3(light.rgb) / mean_radiance), 0.3, 1.0) * reach;
             if (level < levels - 1 && centre.w > limit) {
                 first += 32 << (2 * level);
                 level++;
