@@ -162,10 +162,10 @@ class _Builder:
             with np.errstate(invalid="ignore", over="ignore"):  # vertices that are not finite are dropped below
                 position = (position.astype(np.float64) @ linear.T + to_mesh[:3, 3]).astype(np.float32)
             linear = linear / np.abs(linear).max()  # directions are made unit again: no scale may under- or overflow
-            normal = _unit(normal @ np.linalg.inv(linear).astype(np.float32))
+            normal = _unit(normal) @ np.linalg.inv(linear).astype(np.float32)
             mirrored = np.linalg.det(linear) < 0
             if tangent is not None:
-                direction = _unit(tangent[:, :3] @ linear.T.astype(np.float32))
+                direction = _unit(tangent[:, :3]) @ linear.T.astype(np.float32)
                 tangent = np.concatenate(
                     [direction, tangent[:, 3:] * (-1 if mirrored else 1)], axis=1, dtype=np.float32
                 )
@@ -180,10 +180,12 @@ class _Builder:
             finite = np.isfinite(position).all(1, keepdims=True)
             position = np.where(finite, position, 0)
         count = len(position)
-        uv0 = piece.uv0 if piece.uv0 is not None else np.zeros((count, 2), np.float32)
-        self.vertices.append(np.column_stack([position, uv0[:, :1], normal, uv0[:, 1:]]).astype(np.float32))
+        uv0 = _sane(piece.uv0) if piece.uv0 is not None else np.zeros((count, 2), np.float32)
+        self.vertices.append(np.column_stack([position, uv0[:, :1], _unit(normal), uv0[:, 1:]]).astype(np.float32))
         if self.with_tangents:
-            self.tangents.append(tangent if tangent is not None else np.zeros((count, 4), np.float32))
+            if tangent is None:
+                tangent = np.zeros((count, 4), np.float32)
+            self.tangents.append(np.concatenate([_unit(tangent[:, :3]), np.sign(_sane(tangent[:, 3:]))], axis=1))
         if self.with_attributes:
             self.attributes.append(_pack_attributes(piece, count))
         rows = np.empty((len(index), 4), np.uint32)
@@ -208,11 +210,12 @@ class _Builder:
         return self.triangle_count - 1, geometry, np.array([*centre, radius], np.float32)
 
     def placed(self) -> list[tuple[int, Instance]]:
-        """Instances with their numbers. Those squashed flat or to a point, or not finite, count as dropped triangles."""
+        """Instances with their numbers. Those that are squashed flat, or too small or large to trace, are dropped."""
         poses = np.array([i.world_from_object[:3] for i in self.scene.instances]).reshape(-1, 3, 4)
         with np.errstate(invalid="ignore", over="ignore"):
             volume, sides = np.abs(np.linalg.det(poses[:, :, :3])), np.linalg.norm(poses[:, :, :3], axis=1)
             fine = np.isfinite(poses).all((1, 2)) & (volume > 1e-12 * sides.prod(1))
+            fine &= (sides > 1 / LARGEST).all(1) & (sides < LARGEST).all(1)  # products of three lengths, as above
         for i in np.flatnonzero(~fine).tolist():
             pieces = self.scene.meshes[self.scene.instances[i].mesh].primitives
             self.dropped += sum(len(p.index) if isinstance(p, Triangles) else 1 for p in pieces)
@@ -352,11 +355,12 @@ def draw_state(material: Material) -> tuple[int, int]:
 
 
 def solid(position: F32, index: U32) -> np.ndarray:
-    """(T,) bool: triangles whose vertices are finite and whose area does not vanish in float32's products of lengths."""
+    """(T,) bool: triangles whose vertices are finite and whose area does not vanish in products of float32 lengths."""
     corner = position[index].astype(np.float64)
     with np.errstate(invalid="ignore", over="ignore"):
         normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    return np.isfinite(corner).all((1, 2)) & (np.abs(normal) > SMALLEST_AREA).any(1)
+    fine: np.ndarray = np.isfinite(corner).all((1, 2)) & (np.abs(normal) > SMALLEST_AREA).any(1)
+    return fine
 
 
 def _own_materials(mesh: Mesh) -> tuple[int, ...]:
@@ -364,8 +368,16 @@ def _own_materials(mesh: Mesh) -> tuple[int, ...]:
 
 
 def _unit(v: F32) -> F32:
-    length = np.linalg.norm(v, axis=1, keepdims=True)
-    return np.divide(v, length, out=np.zeros_like(v), where=length > 0)
+    """(V, 3) made unit; zero, for which shaders have a fallback, where a vector is not finite or has no length."""
+    with np.errstate(invalid="ignore", over="ignore", under="ignore"):
+        length = np.linalg.norm(v, axis=1, keepdims=True)
+    return np.divide(v, length, out=np.zeros_like(v), where=(length > 0) & np.isfinite(length))
+
+
+def _sane(values: F32) -> F32:
+    """Texture coordinates, with zero for what is not finite or so large (2^24) that float32 holds no fraction of it."""
+    fine = np.abs(values) < 2.0**24  # False for NaN
+    return values if fine.all() else np.where(fine, values, np.float32(0))
 
 
 def _pack_attributes(piece: Triangles | None, count: int) -> U32:
@@ -373,9 +385,9 @@ def _pack_attributes(piece: Triangles | None, count: int) -> U32:
     color = np.ones((count, 4), np.float16)
     if piece is not None:
         if piece.uv1 is not None:
-            packed[:, :2] = np.ascontiguousarray(piece.uv1, np.float32).view(np.uint32)
+            packed[:, :2] = np.ascontiguousarray(_sane(piece.uv1), np.float32).view(np.uint32)
         if piece.color is not None:
-            color = np.clip(piece.color, 0, 65504).astype(np.float16)
+            color = np.clip(np.nan_to_num(piece.color, nan=1.0), 0, 65504).astype(np.float16)
     packed[:, 2:] = np.ascontiguousarray(color).view(np.uint32)
     return packed
 
