@@ -1,7 +1,8 @@
 """The command line: `glhybrid render | plan | bench | scenes | doctor`.
 
 Exit codes: 0 done; 1 a bench whose hits differ; 2 bad input or usage; 3 no usable OpenGL; 130 interrupted. A user's
-mistake is one line on stderr, never a traceback. Results go to stdout, everything else to stderr. Nothing heavy is imported before a verb runs.
+mistake is one line on stderr, never a traceback. Results go to stdout, everything else to stderr. Nothing heavy is
+imported before a verb runs.
 """
 
 import json
@@ -198,7 +199,7 @@ def bench(
     peers: Annotated[bool, Parameter(help="Embree and Mitsuba on the same rays, where installed.")] = False,
     device: Annotated[str, Parameter(help="auto, gpu, software, egl:N, cuda:N or osmesa.")] = "auto",
     size: Annotated[
-        str | None, Parameter(help="Pixels, WxH; 1920x1080 on a GPU, else 1280x720, or 640x360 with --quick.")
+        str | None, Parameter(help="Pixels, WxH; 1920x1080 on a GPU, else 1280x720, or 480x270 with --quick.")
     ] = None,
     allow_outside: Annotated[bool, Parameter(help="Let a scene use files outside its folder.")] = False,
     json: Annotated[bool, Parameter(help="Print the result as one JSON object.")] = False,

@@ -35,9 +35,9 @@ def main(given: str, taken: str) -> None:
             dr.sync_thread()
             wall, cpu = time.perf_counter(), time.process_time()
             ray = mi.Ray3f(origin, direction)
-            ray.maxt = far
+            ray.maxt = far  # type: ignore[assignment]  # two names of one type
             if name == "shadow":
-                result = scene.ray_test(ray, coherent=False)
+                result: Any = scene.ray_test(ray, coherent=False)
             else:
                 result = scene.ray_intersect_preliminary(ray, coherent=name == "camera").t
             dr.eval(result)

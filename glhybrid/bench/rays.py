@@ -28,6 +28,7 @@ CLASSES = ("camera", "shadow", "mirror", "diffuse")
 ANY_HIT = "shadow"  # the class that asks any hit; the others ask for the closest
 UNBOUNDED = 1 << 20  # inner nodes in a row: until a leaf
 MOST_FLAT = 8_000_000  # triangles: instances beyond are not flattened for a variant or a peer
+ROOMY_STACK = 64  # entries where nothing is timed: one program makes the rays of most scenes
 MOST_RAYS = 1 << 22  # of one class: 2 texels each, 32 bytes, within the storage blocks of every driver
 
 
@@ -111,9 +112,8 @@ class Structure:
         self.frame = context.gl.buffer(self.constants)
         self.resources: dict[str, Any] = {**self.upload.resources, "Frame": self.frame}
 
-    def program(self, stem: str, inner_steps: int, step_counter: bool = False) -> Any:
-        features = self.features.replace(bvh_inner_steps=inner_steps, step_counter=step_counter)
-        return self.shaders.compute(stem, features, folder="bench")
+    def program(self, stem: str, **changes: Any) -> Any:
+        return self.shaders.compute(stem, self.features.replace(**changes), folder="bench")
 
     def release(self) -> None:
         self.frame.release()
@@ -155,7 +155,8 @@ class Tracer:
         structure.frame.write(structure.constants)
         width, height = (-(-side // 8) for side in view.size)
         target = self.context.gl.buffer(reserve=width * height * 64 * 32)
-        structure.program("rays", self.own.inner_steps).dispatch(
+        stack = max(ROOMY_STACK, structure.features.bvh_stack)
+        structure.program("rays", bvh_inner_steps=self.own.inner_steps, bvh_stack=stack).dispatch(
             {**structure.resources, "Rays": target, "ray_class": CLASSES.index(name)}, (width, height), (1, 1)
         )
         data = np.frombuffer(target.read(), np.float32).reshape(-1, 8)
@@ -183,7 +184,8 @@ class Tracer:
 
     def _prepare(self, name: str, variant: Variant, step_counter: bool) -> tuple[Callable[[], None], Any, Any]:
         structure, count = self.structure(variant.levels), len(self.rays[name])
-        program = structure.program("any" if name == ANY_HIT else "closest", variant.inner_steps, step_counter)
+        stem = "any" if name == ANY_HIT else "closest"
+        program = structure.program(stem, bvh_inner_steps=variant.inner_steps, step_counter=step_counter)
         target = self._buffer(max(count, 1) * (4 if name == ANY_HIT else 8))
         resources = {**structure.resources, "rays": self._sources[name], "Found": target, "ray_count": count}
         counts = self._buffer(max(count, 1) * 4) if step_counter else None
