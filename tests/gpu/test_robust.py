@@ -222,7 +222,7 @@ def test_squashed_instances_are_counted_and_the_rest_is_drawn(
 
 @pytest.mark.parametrize("levels", [1, 2])
 def test_sizes_past_the_arithmetic_are_refused_and_those_within_are_right(context: "Context", levels: int) -> None:
-    """Triangles at a geometric progression, which makes the deepest trees; and scenes of a size from 1e-10 to 1e11 m."""
+    """Triangles at a geometric progression, which makes the deepest trees; and scenes from 1e-10 to 1e11 m."""
     from glhybrid import reference
 
     corner = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.3]]) * 0.5 + np.array([1, 0.1, 0.2])

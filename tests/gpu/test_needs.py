@@ -1,0 +1,178 @@
+"""What a scene does not need is not there: no program, image, buffer or dispatch of it. Counted, not believed."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from rays import moved, scene_of
+
+import glhybrid as gh
+from glhybrid.load.shapes import box, torus
+from glhybrid.scene import Camera, Environment, Image, Light, Material, Scene, Sphere, Texture
+
+if TYPE_CHECKING:
+    from glhybrid.context import Context
+
+SIZE = (64, 48)
+SUN = (Light("directional", direction=(-0.4, -0.8, -0.4)),)
+SKY = Environment(np.full((1, 1, 3), 0.3, np.float32))
+CAMERA = Camera.look_at((2, 2, 4), (0, 0, 0))
+TEXTURE = Texture(Image(np.random.default_rng(0).integers(0, 255, (16, 16, 4)).astype(np.uint8)))
+
+
+@pytest.fixture
+def renderer(context: "Context") -> Iterator[gh.Renderer]:
+    """A fresh one for each test: its programs and images are those of the test."""
+    with gh.Renderer(context=context) as made:
+        yield made
+
+
+def scene(material: Material | None = None, lights: tuple[Light, ...] = SUN, sky: Environment | None = SKY) -> Scene:
+    """Two different bodies in one material: matt, two-sided, without textures unless told."""
+    plain = material or Material(double_sided=True)
+    return scene_of(
+        box(), torus(segments=16, sides=8), poses=[np.eye(4), moved((1, 0, 0))], materials=(plain,)
+    ).replace(lights=lights, environment=sky)
+
+
+class Ran:
+    """A rendered frame and what it took."""
+
+    def __init__(self, renderer: gh.Renderer, scene: Scene, **settings: Any) -> None:
+        chosen = gh.Settings(aa=1, exposure=0.0, **settings)
+        self.frame = renderer.render(scene, CAMERA, SIZE, chosen)
+        staged = renderer.stage(scene, chosen, SIZE)
+        self.plan = self.frame.receipt["plan"]
+        self.programs: list[str] = self.plan["programs"]
+        self.dispatched = {p["name"] for p in self.frame.receipt["passes"]}
+        self.images = set(staged.targets._images)
+        self.resources = set(staged.upload.resources)
+        self.read = {name for p in renderer.shaders._programs.values() for name in p.resources}
+        self.features = staged.features
+
+    def names(self, word: str) -> bool:
+        """Whether any linked program is specialised for, or reads, something called so."""
+        return any(word.upper() in p.upper() for p in self.programs) or any(
+            word.lower() in r.lower() for r in self.read
+        )
+
+    def skipped(self, words: str) -> bool:
+        return any(s.startswith(words) for s in self.plan["skipped"])
+
+
+def test_the_plain_scene_runs_three_passes(renderer: gh.Renderer) -> None:
+    ran = Ran(renderer, scene())
+    assert ran.dispatched == {"gbuffer", "shadow", "composite", "display"} == set(ran.plan["passes"])
+    assert len(ran.programs) <= 6, ran.programs
+    for word in (
+        "alpha",
+        "blend",
+        "texture",
+        "tangent",
+        "attributes",
+        "sphere",
+        "clearcoat",
+        "specular=",
+        "normal_map",
+    ):
+        assert not ran.names(word), (word, ran.programs, ran.read)
+    for name in ("texture_pages", "Textures", "TextureLevels", "tangents", "attributes"):
+        assert name not in ran.resources
+
+
+def test_no_mirror_no_reflection(renderer: gh.Renderer) -> None:
+    ran = Ran(renderer, scene())
+    assert "reflect" not in ran.dispatched and not any(p.startswith("reflect") for p in ran.programs)
+    assert "reflection" not in ran.images and ran.skipped("reflect pass")
+    bytes_without = ran.plan["image_bytes"]
+    mirror = Ran(renderer, scene(Material(double_sided=True, roughness=0.1)))
+    assert "reflect" in mirror.dispatched and any(p.startswith("reflect") for p in mirror.programs)
+    assert mirror.plan["image_bytes"] - bytes_without == 16 * SIZE[0] * SIZE[1]
+    off = Ran(renderer, scene(Material(double_sided=True, roughness=0.1)), reflections="none")
+    assert "reflect" not in off.dispatched and "reflection" not in off.images
+
+
+def test_no_cut_out_no_alpha(renderer: gh.Renderer) -> None:
+    textured = Material(double_sided=True, textures={"base_color": TEXTURE})
+    ran = Ran(renderer, scene(textured))
+    assert not ran.names("alpha") and ran.skipped("alpha tests")
+    cut = Ran(renderer, scene(replace(textured, alpha_mode="MASK")))
+    assert cut.names("alpha_test")
+    # A raster program for what is whole stays free of it, beside the one for what is cut.
+    mixed = scene_of(box(), torus(), materials=(replace(textured, alpha_mode="MASK"), Material(double_sided=True)))
+    mixed = mixed.replace(instances=(mixed.instances[0], replace(mixed.instances[1], materials=(1,))), lights=SUN)
+    both = Ran(renderer, mixed, primary="raster")
+    gbuffers = [p for p in both.programs if p.startswith("gbuffer")]
+    assert any("ALPHA_TEST" in p for p in gbuffers) and any("ALPHA_TEST" not in p for p in gbuffers)
+
+
+def test_no_texture_no_page(renderer: gh.Renderer) -> None:
+    ran = Ran(renderer, scene())
+    assert "texture_pages" not in ran.resources and "texture_pages" not in ran.read and ran.skipped("textures")
+    textured = Ran(renderer, scene(Material(double_sided=True, textures={"base_color": TEXTURE})))
+    assert "texture_pages" in textured.resources and "texture_pages" in textured.read
+    assert textured.plan["image_bytes"] > ran.plan["image_bytes"]
+    assert "tangents" not in textured.resources  # only normal maps need them
+    assert "tangents" in Ran(renderer, scene(Material(double_sided=True, textures={"normal": TEXTURE}))).resources
+
+
+def test_no_light_no_visibility(renderer: gh.Renderer) -> None:
+    ran = Ran(renderer, scene(lights=()))
+    assert "shadow" not in ran.dispatched and not any(p.startswith("shadow") for p in ran.programs)
+    assert not {"visibility", "visibility_tint"} & ran.images and ran.skipped("shadow pass")
+    one, two = Ran(renderer, scene()), Ran(renderer, scene(lights=SUN * 2))
+    assert one.plan["image_bytes"] - ran.plan["image_bytes"] == SIZE[0] * SIZE[1]
+    assert two.plan["image_bytes"] - one.plan["image_bytes"] == SIZE[0] * SIZE[1]
+    off = Ran(renderer, scene(), shadows="none")
+    assert "shadow" not in off.dispatched and "visibility" not in off.images
+    unlit = Ran(renderer, scene(Material(double_sided=True, unlit=True)))
+    assert "shadow" not in unlit.dispatched
+
+
+def test_no_environment_no_map(renderer: gh.Renderer) -> None:
+    ran = Ran(renderer, scene(sky=None))
+    assert not any("environment" in name for name in ran.read) and ran.skipped("environment")
+    constant = Ran(renderer, scene())
+    assert "environment_constant" in constant.read and "environment_map" not in constant.read
+    varied = Environment(np.random.default_rng(0).uniform(0, 1, (8, 16, 3)).astype(np.float32))
+    mapped = Ran(renderer, scene(sky=varied))
+    assert "environment_map" in mapped.read and mapped.plan["image_bytes"] > constant.plan["image_bytes"]
+
+
+def test_one_level_where_nothing_repeats(renderer: gh.Renderer) -> None:
+    flat = Ran(renderer, scene())
+    assert flat.plan["levels"] == 1 and not flat.names("two_level")
+    repeated = scene()
+    again = repeated.replace(
+        instances=repeated.instances + tuple(replace(i, world_from_object=moved((0, 2, 0))) for i in repeated.instances)
+    )
+    ran = Ran(renderer, again)
+    assert ran.plan["levels"] == 2 and ran.names("two_level")
+    assert ran.frame.receipt["bvh"]["bytes"] < 1.2 * flat.frame.receipt["bvh"]["bytes"]  # stored once
+
+
+def test_triangles_only_no_spheres(renderer: gh.Renderer) -> None:
+    assert not Ran(renderer, scene()).names("sphere")
+    ball = scene_of(Sphere(1.0), materials=(Material(double_sided=True),)).replace(lights=SUN, environment=SKY)
+    assert Ran(renderer, ball).names("sphere")
+
+
+def test_a_second_frame_compiles_and_allocates_nothing(renderer: gh.Renderer) -> None:
+    material = Material(double_sided=True, roughness=0.2, textures={"base_color": TEXTURE})
+    made, chosen = scene(material), gh.Settings(aa=1, exposure=0.0)
+    first = renderer.render(made, CAMERA, SIZE, chosen).receipt["plan"]
+    programs = dict(renderer.shaders._programs)
+    second = renderer.render(made, Camera.look_at((3, 1, 4), (0, 0, 0)), SIZE, chosen).receipt["plan"]
+    assert renderer.shaders._programs == programs
+    assert {k: v for k, v in first.items() if "bytes" in k} == {k: v for k, v in second.items() if "bytes" in k}
+
+
+def test_features_that_differ_in_nothing_a_pass_reads_share_its_program(renderer: gh.Renderer) -> None:
+    """A program's key is what its text names: shading features must not multiply the raster's programs."""
+    Ran(renderer, scene(), primary="raster")
+    before = [p for p in renderer.shaders.names if p.startswith("gbuffer")]
+    Ran(renderer, scene(Material(double_sided=True, roughness=0.1, clearcoat=1.0)), primary="raster")
+    Ran(renderer, scene(sky=None), primary="raster")
+    assert [p for p in renderer.shaders.names if p.startswith("gbuffer")] == before
