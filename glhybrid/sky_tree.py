@@ -8,6 +8,7 @@ import numpy as np
 
 from glhybrid.scene import F32, F64
 
+VERSION = 2  # of what sky_nodes makes: part of the name under which convolutions are kept on disk
 LEVELS = 7  # 8 x 4 nodes of 45 degrees down to 512 x 256 of 0.7: half as wide as the sharpest lobe
 WIDTH, HEIGHT = 8 << LEVELS - 1, 4 << LEVELS - 1
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -15,10 +16,10 @@ _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 def sky_nodes(radiance: F32) -> F32:
     """(N, 12) float32, level by level from the coarsest, rows within. Three fours: mean radiance, solid angle;
-    centre of light, radius; centre of the node, 0.
+    centre of light, radius; centre, 0.
 
-    radiance: (H, W, 3) equirect. Centres are unit directions, that of light weighted by luminance; radius: half the
-    node's diagonal, rad.
+    radiance: (H, W, 3) equirect. Centres are unit directions, means over the node, that of light weighted by luminance:
+    in an even sky the two are one. radius: half the node's diagonal, rad.
     """
     light = resample(np.maximum(radiance, 0))
     edge = np.cos(np.arange(HEIGHT + 1) / HEIGHT * np.pi)
@@ -26,29 +27,34 @@ def sky_nodes(radiance: F32) -> F32:
     flux = light * solid[..., None]
     # A touch of evenness, so that black nodes have a centre too.
     weight = flux @ _LUMINANCE + solid * (1e-6 * (flux.sum((0, 1)) @ _LUMINANCE) + 1e-30)
-    moment = _directions(HEIGHT, WIDTH) * weight[..., None]
+    directions = _directions()
+    even, moment = directions * solid[..., None], directions * weight[..., None]
     levels = []
     for k in range(LEVELS):
         height, width = solid.shape
         theta = (np.arange(height) + 0.5) / height * np.pi
         radius = 0.5 * np.hypot(np.pi / height, 2 * np.pi / width * np.sin(theta))[:, None]
-        direction = moment / np.maximum(np.linalg.norm(moment, axis=-1, keepdims=True), 1e-300)
         node = np.zeros((height, width, 12))
         node[..., :3], node[..., 3] = flux / solid[..., None], solid
-        node[..., 4:7], node[..., 7] = direction, radius
-        node[..., 8:11] = _directions(height, width)
+        node[..., 4:7], node[..., 7] = _unit(moment), radius
+        node[..., 8:11] = _unit(even)
         levels.append(node.reshape(-1, 12))
         if k < LEVELS - 1:
-            flux, moment, solid = (_quarter(a) for a in (flux, moment, solid))
+            flux, moment, even, solid = (_quarter(a) for a in (flux, moment, even, solid))
     return np.concatenate(levels[::-1]).astype(np.float32)
 
 
-def _directions(height: int, width: int) -> F64:
-    """(height, width, 3) unit directions of the texel centres; the centre column looks along -Z, row 0 is +Y."""
-    theta = ((np.arange(height) + 0.5) / height * np.pi)[:, None]
-    phi = ((np.arange(width) + 0.5) / width - 0.5) * 2 * np.pi
+def _directions() -> F64:
+    """(HEIGHT, WIDTH, 3) unit directions of the finest nodes; the centre column looks along -Z, row 0 is +Y."""
+    theta = ((np.arange(HEIGHT) + 0.5) / HEIGHT * np.pi)[:, None]
+    phi = ((np.arange(WIDTH) + 0.5) / WIDTH - 0.5) * 2 * np.pi
     sin = np.sin(theta)
     return np.stack(np.broadcast_arrays(sin * np.sin(phi), np.cos(theta), -sin * np.cos(phi)), axis=-1)
+
+
+def _unit(v: F64) -> F64:
+    result: F64 = v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-300)
+    return result
 
 
 def resample(radiance: F32) -> F64:

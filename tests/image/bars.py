@@ -41,4 +41,11 @@ BARS = {
     ),
     "closed room": Bar(0.005, "200 k paths of 40 vertices, relative deviation of each about 1; pbrt's bar is 0.025"),
     "white sky": Bar(0.005, "as the closed room"),
+    # test_environment_gpu.py
+    "sky lookup": Bar(1e-4, "2e-7 rad of float32 direction over texels 50 times as bright as the next, 128 columns"),
+    "irradiance, median": Bar(0.005, "nodes of at most 0.12 rad; measured 0.002"),
+    "irradiance, largest": Bar(0.015, "measured 0.0064, in a studio 2,000 times brighter at its lamps than around"),
+    "prefilter, median": Bar(0.01, "measured 0.003"),
+    "prefilter, largest": Bar(0.08, "measured 0.048, beside a lamp 2,000 times brighter; 256 samples were 8.0 off"),
+    "half float": Bar(1e-3, "convolutions and the split-sum table are half floats, 2^-11, twice"),
 }
