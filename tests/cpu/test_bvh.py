@@ -231,11 +231,12 @@ def test_pack_refuses_what_a_reference_cannot_hold(monkeypatch: pytest.MonkeyPat
         pack(trees)
 
 
-@pytest.mark.parametrize("count", [1, 2, 5, 300, 20_000])
-def test_instances_are_leaves_of_the_top_tree(count: int) -> None:
+@pytest.mark.parametrize("moving", [False, True], ids=["static", "moving"])
+@pytest.mark.parametrize("count", [1, 2, 5, 100, 300, 20_000])
+def test_instances_are_leaves_of_the_top_tree(count: int, moving: bool) -> None:
     rng = np.random.default_rng(count)
     low = rng.random((count, 3)) * 100 - 1e4
-    tree = build_tlas(np.stack([low, low + rng.random((count, 3)) * (rng.random((count, 1)) < 0.9)], 1))
+    tree = build_tlas(np.stack([low, low + rng.random((count, 3)) * (rng.random((count, 1)) < 0.9)], 1), moving)
     tree.validate()
     refs = tree.nodes[:, 3::4]
     leaves = refs[(refs >= LEAF) & (refs & 15 > 0)]
