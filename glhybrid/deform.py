@@ -17,7 +17,7 @@ from glhybrid.scene import F32, F64, Animation, Instance, Mesh, Scene, Triangles
 
 @dataclass(frozen=True)
 class Deformer:
-    """One shape that a clip changes. mesh, skin (-1: none) and node (that has its morph weights, -1: none) of the scene.
+    """One shape that a clip changes: mesh, skin (-1: none) and node (with its morph weights, -1: none) of the scene.
 
     instances: rows of Scene.instances that show it.
     """
@@ -48,7 +48,7 @@ def posed(scene: Scene, pose: Pose, live: Sequence[Deformer] = ()) -> Scene:
     """The scene at rest in that pose: every morphed or skinned mesh replaced by a still one; itself if nothing changes.
 
     Posed instances have skin -1 and meshes of their own, shared where the pose is the same. live: deformers that get a
-    mesh each, with vertices in the order of the file's and its joints and targets, so that they can be moved later on.
+    mesh each, not shared, so that they can be moved later on.
     """
     owner = {i: d for d in live for i in d.instances}
     meshes = list(scene.meshes)
@@ -107,9 +107,8 @@ def _posed_mesh(mesh: Mesh, weights: F64, joint_matrices: F64 | None, live: bool
             still = morphed(piece, weights)
             if joint_matrices is not None and piece.joints is not None:
                 still = skinned(still, joint_matrices)
-            if live:  # arrays of its own, and what says that they move
-                still = replace(still, position=still.position.copy(), joints=piece.joints, weights=piece.weights,
-                                morph_targets=piece.morph_targets)  # fmt: skip
+            if live:
+                still = replace(still, position=still.position.copy())
             piece = still
         pieces.append(piece)
     return Mesh(mesh.name, tuple(pieces))
@@ -118,7 +117,7 @@ def _posed_mesh(mesh: Mesh, weights: F64, joint_matrices: F64 | None, live: bool
 def stays_flat(piece: Triangles) -> bool:
     """Whether its normals follow the faces: it shares no vertex, as made for a file without normals, and no target
     says how normals move."""
-    unshared = len(piece.position) == piece.index.size
+    unshared = np.array_equal(piece.index.ravel(), np.arange(len(piece.position)))
     return bool(piece.morph_targets) and unshared and all(t.normal is None for t in piece.morph_targets)
 
 

@@ -27,6 +27,7 @@ class MeshData:
     first_triangle: int
     geometries: tuple[tuple[int, int], ...]  # first triangle and count, by geometry
     blas: Blas
+    first_vertex: int = 0  # a mesh's vertices lie together, its pieces in order
     spheres: tuple[tuple[int, int, F32], ...] = ()  # row of triangles, geometry, centre and radius
 
 
@@ -110,11 +111,21 @@ def _check_reach(scene: Scene, levels: int) -> None:
         )
 
 
-def build(scene: Scene, levels: int | str = "auto", *, tangents: bool = True, attributes: bool = True) -> Geometry:
-    """Arrays, records and trees of a scene. Triangles with a non-finite vertex or no area are dropped and counted."""
+def build(
+    scene: Scene,
+    levels: int | str = "auto",
+    *,
+    tangents: bool = True,
+    attributes: bool = True,
+    deforming: frozenset[int] = frozenset(),
+) -> Geometry:
+    """Arrays, records and trees of a scene. Triangles with a non-finite vertex or no area are dropped and counted.
+
+    deforming: rows of scene.meshes that will change shape: their triangles may be without area now.
+    """
     chosen, why = choose_levels(scene, levels)
     _check_reach(scene, chosen)
-    builder = _Builder(scene, tangents, attributes)
+    builder = _Builder(scene, tangents, attributes, deforming)
     if chosen == 1:
         builder.flatten()
     else:
@@ -125,8 +136,9 @@ def build(scene: Scene, levels: int | str = "auto", *, tangents: bool = True, at
 class _Builder:
     """Collects pieces in order; `finish` concatenates them once."""
 
-    def __init__(self, scene: Scene, tangents: bool, attributes: bool) -> None:
+    def __init__(self, scene: Scene, tangents: bool, attributes: bool, deforming: frozenset[int]) -> None:
         self.scene = scene
+        self.deforming = {id(scene.meshes[row]) for row in deforming}
         self.with_tangents, self.with_attributes = tangents, attributes
         self.vertices: list[F32] = []
         self.tangents: list[F32] = []
@@ -171,7 +183,7 @@ class _Builder:
                 )
             if mirrored:
                 index = index[:, ::-1]  # front faces stay counter-clockwise
-        keep = solid(position, index)
+        keep = np.isfinite(position[index]).all((1, 2)) if id(mesh) in self.deforming else solid(position, index)
         self.dropped += int(len(index) - keep.sum())
         before = sum(len(p.index) if isinstance(p, Triangles) else 1 for p in mesh.primitives[:k])
         self.sources.append(np.flatnonzero(keep).astype(np.uint32) + np.uint32(before))
@@ -249,7 +261,7 @@ class _Builder:
             sphere_triangle=np.array([s[0] - first for s in spheres], np.uint32),
             sphere_geometry=np.array([s[1] for s in spheres], np.uint32),
         )
-        self.meshes.append(MeshData(first, tuple(ranges), blas, tuple(spheres)))
+        self.meshes.append(MeshData(first, tuple(ranges), blas, vertex, tuple(spheres)))
         return True
 
     def flatten(self) -> None:

@@ -3,30 +3,53 @@
 `resources` holds everything by its GLSL name; a buffer that the scene does not need is not there.
 """
 
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import moderngl
 import numpy as np
 
 from glhybrid import bvh, layout, textures
+from glhybrid.bvh import Blas, Tlas
+from glhybrid.bvh.fragments import LEAF
 from glhybrid.context import Context
 from glhybrid.errors import GeometryError
 from glhybrid.geometry import Geometry
 from glhybrid.gl import BufferTexture
+from glhybrid.motion import Moment, Motion
 from glhybrid.needs import Features
-from glhybrid.scene import F64, SRGB_SLOTS, TEXTURE_SLOTS, Light, Material, Scene
+from glhybrid.scene import F32, F64, SRGB_SLOTS, TEXTURE_SLOTS, U32, Light, Material, Scene
+
+SPARE_LEVELS = 8  # of the stack, for top-level trees that come out deeper as things move
+
+
+class MovedTree(NamedTuple):
+    """What instances know of a tree whose vertices moved: its grid (3,) float32, and its box (2, 3) float64."""
+
+    grid_min: F32
+    grid_step: F32
+    bounds: F64
 
 
 class GpuScene:
-    """Owns the GL objects of one scene."""
+    """Owns the GL objects of one scene. motion: what will move; trees that it deforms have room to be built anew."""
 
-    def __init__(self, context: Context, scene: Scene, geometry: Geometry, features: Features) -> None:
+    def __init__(
+        self, context: Context, scene: Scene, geometry: Geometry, features: Features, motion: Motion | None = None
+    ) -> None:
         self._context = context
         self._owned: list[Any] = []
         self.scene, self.geometry = scene, geometry
         self.resources: dict[str, Any] = {}
         self.draw_records: list[tuple[tuple[int, int], list[tuple[int, int, int, int]]]] = []
-        nodes, slots, roots = bvh.pack([m.blas for m in geometry.meshes])
+        self._world: F64 = geometry.world_from_object
+        self._previous: F64 | None = None
+        self._bounds = np.array([m.blas.bounds for m in geometry.meshes]).reshape(-1, 2, 3)
+        self._depth = [m.blas.depth for m in geometry.meshes]
+        deforming = {self.mesh_of_instance(d.instances[0]) for d in motion.deformers} if motion is not None else set()
+        nodes, slots, roots = bvh.pack(
+            [_roomy(m.blas) if row in deforming else m.blas for row, m in enumerate(geometry.meshes)]
+        )
         # Slots name triangles by their place in the mesh; hits carry the row of the whole table.
         starts = np.concatenate(
             [np.full(len(m.blas.slots), m.first_triangle, np.uint32) for m in geometry.meshes]
@@ -35,18 +58,18 @@ class GpuScene:
         slots = slots.copy()
         slots[:, 3] += starts
         slots[:, 7] |= self._slot_flags(slots[:, 7])
-        self._tlas = None
+        ends = np.cumsum([0, *(len(m.blas.slots) for m in geometry.meshes)]).tolist()
+        self._slot_first, self._node_first = ends, [*roots.tolist(), len(nodes)]
+        self._slot_words = {row: _by_geometry(slots[ends[row] : ends[row + 1], 7]) for row in deforming if row >= 0}
+        self._tlas: Tlas | None = None
         self.top_root = 0
         if features.two_level and geometry.meshes:
             self._centre = scene.bounds().mean(0)
             self._tlas = bvh.build_tlas(self._instance_boxes() - self._centre)
             self.top_root = len(nodes)
-            tlas_nodes = self._tlas.nodes.reshape(-1, 8).copy()
-            refs = tlas_nodes[:, 3::4]
-            refs[refs < 0x80000000] += np.uint32(self.top_root)
-            nodes = np.concatenate([nodes.reshape(-1, 8), tlas_nodes])
+            nodes = np.concatenate([nodes.reshape(-1, 8), self._top_nodes()])
         self._roots = roots
-        self.stack_entries = self._stack_entries()
+        self.stack_entries = self.stack_needed(SPARE_LEVELS if motion is not None else 0)
         self._texels("nodes", nodes)
         self._texels("slots", slots)
         self._texels("vertices", geometry.vertices)
@@ -96,7 +119,11 @@ class GpuScene:
         if self._origin is not None and np.array_equal(origin, self._origin):
             return
         self._origin = origin.copy()
-        poses = self.geometry.world_from_object.copy()
+        poses = self._world.copy()
+        if self._previous is not None:
+            before = self._previous.copy()
+            before[:, :3, 3] -= origin
+            self.resources["PreviousInstances"].write(layout.columns(before[:, :3]))
         if len(poses):
             poses[:, :3, 3] -= origin
             self._instances["world_from_object"] = layout.columns(poses[:, :3])
@@ -104,6 +131,81 @@ class GpuScene:
         self.resources["Instances"].write(self._instances)
         if self.lights:
             self.resources["Lights"].write(light_rows(self.lights, origin))
+
+    def move(self, moment: Moment, trees: dict[int, MovedTree]) -> None:
+        """Everything where a moment has it: instances, lights, the top-level tree. The next rebase uploads matrices.
+
+        trees: by row of geometry.meshes, those whose vertices moved.
+        """
+        geometry, rows = self.geometry, self._instances
+        if "PreviousInstances" in self.resources:
+            self._previous = self._world
+        self.lights = moment.lights if self.lights else ()
+        self._origin = None
+        if not len(geometry.instance_id):
+            return
+        self._world = moment.world_from_object[geometry.instance_id]
+        for mesh, tree in trees.items():
+            self._bounds[mesh] = tree.bounds
+            ours = geometry.instance_mesh == mesh
+            rows["grid_min"][ours], rows["grid_step"][ours] = tree.grid_min, tree.grid_step
+        rows["flipped"] = self.flipped
+        boxes = self._instance_boxes()
+        self._centre = (boxes[:, 0].min(0) + boxes[:, 1].max(0)) / 2
+        self._tlas = bvh.build_tlas(boxes - self._centre)
+        self.resources["nodes"].buffer.write(self._top_nodes(), offset=self.top_root * 32)
+
+    def keep_previous(self, vertices: bool) -> None:
+        """Makes room for where instances, and vertices too, were a frame ago: the motion AOV reads it."""
+        if "PreviousInstances" not in self.resources:
+            size = max(len(self._world), 1) * layout.dtype("Placement").itemsize
+            self.resources["PreviousInstances"] = self._buffer(size)
+            self._previous, self._origin = self._world, None
+        if vertices and "previous_vertices" not in self.resources:
+            self._texels("previous_vertices", self.geometry.vertices)
+            self.copy_vertices()
+
+    def copy_vertices(self) -> None:
+        """The vertices of now become those of a frame ago."""
+        if "previous_vertices" in self.resources:
+            source = self.resources["vertices"].buffer
+            self._context.gl.copy_buffer(self.resources["previous_vertices"].buffer, source)
+
+    @property
+    def world_from_object(self) -> F64:
+        """(I, 4, 4) float64: where instances are now, in the order of Geometry's."""
+        return self._world
+
+    @property
+    def flipped(self) -> np.ndarray:
+        """(I,) bool: instances turned inside out, whose front faces turn clockwise."""
+        return np.asarray(np.linalg.det(self._world[:, :3, :3]) < 0)
+
+    def mesh_of_instance(self, number: int) -> int:
+        """Row of geometry.meshes of a row of Scene.instances; -1 if nothing of it is drawn."""
+        found = np.flatnonzero(self.geometry.instance_id == number)
+        return int(self.geometry.instance_mesh[found[0]]) if len(found) else -1
+
+    def node_first(self, mesh: int) -> int:
+        """Row of nodes of a mesh's root."""
+        return int(self._node_first[mesh])
+
+    def node_capacity(self, mesh: int) -> int:
+        """How many nodes a mesh's tree may have."""
+        return int(self._node_first[mesh + 1] - self._node_first[mesh])
+
+    def replace_tree(self, mesh: int, blas: Blas) -> None:
+        """Another tree over the same triangles, which it names by their place in the mesh."""
+        root, slot = self.node_first(mesh), self._slot_first[mesh]
+        assert len(blas.nodes) <= self.node_capacity(mesh)
+        nodes, slots = blas.nodes.copy(), blas.slots.copy()
+        refs = nodes[:, 3::4]
+        refs += np.where(refs < LEAF, np.uint32(root), np.uint32(slot << 4))
+        slots[:, 3] += np.uint32(self.geometry.meshes[mesh].first_triangle)
+        slots[:, 7] = self._slot_words[mesh][slots[:, 7]]
+        self.resources["nodes"].buffer.write(nodes, offset=root * 32)
+        self.resources["slots"].buffer.write(slots, offset=slot * 48)
+        self._depth[mesh] = blas.depth
 
     def top_grid(self, origin: F64) -> tuple[F64, F64]:
         """(grid_min, grid_step) of the top-level tree in the world rebased on origin."""
@@ -178,8 +280,8 @@ class GpuScene:
 
     def _instance_boxes(self) -> F64:
         """(I, 2, 3) float64 world boxes."""
-        boxes = np.stack([m.blas.bounds for m in self.geometry.meshes])[self.geometry.instance_mesh]
-        pose = self.geometry.world_from_object
+        boxes = self._bounds[self.geometry.instance_mesh]
+        pose = self._world
         centre, half = boxes.mean(1), np.diff(boxes, axis=1)[:, 0] / 2
         centre = np.einsum("iab,ib->ia", pose[:, :3, :3], centre) + pose[:, :3, 3]
         half = np.einsum("iab,ib->ia", np.abs(pose[:, :3, :3]), half)
@@ -204,13 +306,34 @@ class GpuScene:
         rows = geometry + np.repeat(starts, [len(m.blas.slots) for m in self.geometry.meshes]) if tables else geometry
         return np.concatenate([*tables, np.zeros(0, np.uint32)])[rows]
 
-    def _stack_entries(self) -> int:
-        """Traversal stack: depth of the trees, the sentinels, and one spare, in fours."""
-        deepest = max((m.blas.depth for m in self.geometry.meshes), default=0)
-        entries = deepest + 2 + (self._tlas.depth + 2 if self._tlas is not None else 0)
+    def _top_nodes(self) -> U32:
+        """(N, 8) nodes of the top-level tree, where they lie behind all others."""
+        assert self._tlas is not None
+        nodes = self._tlas.nodes.reshape(-1, 8).copy()
+        refs = nodes[:, 3::4]
+        refs[refs < LEAF] += np.uint32(self.top_root)
+        return nodes
+
+    def stack_needed(self, spare: int = 0) -> int:
+        """Entries of the traversal stack: depth of the trees, the sentinels, and one spare, in fours."""
+        entries = max(self._depth, default=0) + spare + 2 + (self._tlas.depth + 2 if self._tlas is not None else 0)
         if entries > 128:
             raise GeometryError(f"{self.scene.name}: trees {entries} deep exceed the traversal stack's limit of 128")
         return -(-entries // 4) * 4
+
+
+def _roomy(blas: Blas) -> Blas:
+    """With as many nodes as any tree over its triangles may have, the last ones not in use."""
+    spare = max(len(blas.slots) - len(blas.nodes), 0)
+    return replace(blas, nodes=np.concatenate([blas.nodes, np.zeros((spare, 8), np.uint32)]))
+
+
+def _by_geometry(words: U32) -> U32:
+    """The word that the slots of each geometry carry, by geometry."""
+    geometry = words & np.uint32(layout.CONSTANTS["SLOT_GEOMETRY"])
+    table = np.zeros(int(geometry.max(initial=0)) + 1, np.uint32)
+    table[geometry] = words
+    return table
 
 
 def light_rows(lights: tuple[Light, ...], origin: F64) -> np.ndarray:

@@ -37,6 +37,8 @@ class Features:
     reason: bool = False
     sphere_proxy: bool = False
     clip_control: bool = True
+    moving: bool = False  # the motion AOV is asked for and things move
+    deforming: bool = False  # and some of them change shape
     step_counter: bool = False
     moeller_trumbore: bool = False  # tests only: the control that must leak
     bvh_stack: int = 0  # entries, from the depth of the trees

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 from glhybrid import needs
 from glhybrid.deform import at_time
 from glhybrid.geometry import choose_levels
+from glhybrid.motion import Motion, wanted
 from glhybrid.needs import Features
 from glhybrid.scene import Scene
 from glhybrid.settings import Settings
@@ -26,10 +27,22 @@ class Plan:
     skipped: tuple[str, ...]
 
 
-def make(scene: Scene, settings: Settings, *, software: bool = True, clip_control: bool = True) -> Plan:
-    """The plan on a device. software: a CPU rasteriser, where loops run to their end instead of in bounded turns."""
+def make(
+    scene: Scene,
+    settings: Settings,
+    *,
+    software: bool = True,
+    clip_control: bool = True,
+    motion: Motion | None = None,
+) -> Plan:
+    """The plan on a device. software: a CPU rasteriser, where loops run to their end instead of in bounded turns.
+
+    motion: what moves; scene is then its start.
+    """
     found = needs.find(scene, settings)
-    levels, why = choose_levels(scene, settings.levels)
+    levels, why = 2, "what moves does not rebuild the rest"
+    if motion is None:
+        levels, why = choose_levels(scene, settings.levels)
     reference = settings.reflections == "reference"
     primary = settings.primary if settings.primary != "auto" else ("raster" if software else "trace")
     reasons = [f"{levels} level{'s' if levels > 1 else ''} of trees: {why}"]
@@ -41,19 +54,35 @@ def make(scene: Scene, settings: Settings, *, software: bool = True, clip_contro
     features = found.features.replace(
         two_level=levels == 2, clip_control=clip_control, bvh_inner_steps=1 << 20 if software else 3, software=software
     )
+    skipped = list(found.skipped)
     passes = ["gbuffer"]
+    if motion is not None and motion.deformers:
+        passes = ["skin", "refit", "gbuffer"]
+        reasons.append(deforming_reason(len(motion.deformers), settings.rebuild))
+    else:
+        skipped.append("skin and refit: " + ("nothing moves" if motion is None else "nothing changes shape"))
     if reference:
         passes.append("reference")
     else:
         passes += ["shadow"] * features.visibility + ["reflect"] * features.reflections + ["composite"]
     passes.append("display")
-    return Plan(features, levels, primary, tuple(passes), tuple(reasons), found.skipped)
+    return Plan(features, levels, primary, tuple(passes), tuple(reasons), tuple(skipped))
+
+
+def deforming_reason(shapes: int, rebuild: float) -> str:
+    """What happens to the trees of shapes that change."""
+    what = f"{shapes} tree{'s' if shapes > 1 else ''} over moving vertices"
+    if rebuild == 1:
+        return f"{what}: built anew every frame, as asked for"
+    limit = f", and built anew once the SAH cost has grown {rebuild:g} times" if rebuild else ", never built anew"
+    return f"{what}: refitted every frame{limit}"
 
 
 def describe(scene: Scene, settings: Settings, size: tuple[int, int] = (1280, 720)) -> dict[str, Any]:
     """The plan as the command line prints it, without a device: passes, reasons, what is skipped, features in use."""
-    scene = at_time(scene, settings.time, settings.clip)
-    plan = make(scene, settings)
+    motion = wanted(scene, settings)
+    scene = motion.start if motion is not None else at_time(scene, settings.time, settings.clip)
+    plan = make(scene, settings, motion=motion)
     on = [name for name, value in plan.features.defines().items() if name.startswith("USE_") and value]
     return {
         "scene": scene.name,

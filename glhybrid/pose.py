@@ -1,9 +1,8 @@
 """A scene at a moment: where a clip's keys put nodes, joints, cameras and lights, and what morph weights it sets.
 
 A pose is a function of the time alone: frame N is the same whether it was played to or sought. Times outside a
-channel's keys are clamped to its first and last, as glTF 2.0 (3.11, appendix C) has it, so a clip of no length holds its
-only pose.
-Everything is float64: what is float32 on the GPU is rounded once.
+channel's keys are clamped to its first and last, as glTF 2.0 (3.11, appendix C) has it, so a clip of no length has one
+pose. Everything is float64: what is float32 on the GPU is rounded once.
 
 Skinned meshes are posed in a space of their own, the world moved so that the skin's first joint is its origin: a figure
 that walks 100 km away from zero keeps its fingers.
@@ -199,12 +198,17 @@ def _placed(scene: Scene, instance: Instance, pose: Pose, resting: F64, moved: n
     given = instance.world_from_object
     if not np.allclose(given, old, rtol=1e-9, atol=1e-12):  # one of many at a node: EXT_mesh_gpu_instancing
         if abs(np.linalg.det(old)) < 1e-30:
-            raise GeometryError(
-                f'{scene.name}: node "{scene.nodes[instance.node].name}" has scale 0 at rest, so where its instances '
-                "lie in it is lost and they cannot be animated"
-            )
+            refuse_flat(scene, instance)
         world = world @ np.linalg.inv(old) @ given
     return replace(instance, world_from_object=invertible(world))
+
+
+def refuse_flat(scene: Scene, instance: Instance) -> None:
+    """Raises GeometryError: a node without size at rest does not tell where its instances lie in it."""
+    raise GeometryError(
+        f'{scene.name}: node "{scene.nodes[instance.node].name}" has scale 0 at rest, so where its instances lie in it '
+        "is lost and they cannot be animated"
+    )
 
 
 def invertible(world: F64) -> F64:
@@ -213,7 +217,7 @@ def invertible(world: F64) -> F64:
     if s[2] > 1e-7 * s[0]:
         return world
     thick = world.copy()
-    thick[:3, :3] = (u * np.maximum(s, max(1e-6 * s[0], 1e-12))) @ v
+    thick[:3, :3] = (u * np.maximum(s, max(1e-6 * s[0], 1e-7))) @ v
     return thick
 
 

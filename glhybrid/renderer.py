@@ -6,10 +6,11 @@ from typing import Any, Self
 
 import numpy as np
 
-from glhybrid import __version__, deform, geometry, layout, plan, pose
+from glhybrid import __version__, deform, geometry, layout, motion, plan, pose
 from glhybrid.context import Context, open_context
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.image import Frame, check_aovs
+from glhybrid.mover import Mover
 from glhybrid.passes.aov import Aov
 from glhybrid.passes.composite import Composite
 from glhybrid.passes.display import Display
@@ -60,8 +61,10 @@ class Renderer:
         names = check_aovs(aovs)
         choose_camera(scene, camera)  # refuses an unknown one before any work is done
         staged = self.stage(scene, settings, size, names)
-        view = make_view(choose_camera(staged.drawn, camera), size, staged.drawn, self.context.limits.clip_control)
-        staged.look(view)
+        view = staged.aim(settings, camera)
+        if staged.outgrown:
+            staged = self.stage(scene, settings, size, names)
+            view = staged.aim(settings, camera)
         timing = Timing(self.context.gl.finish)
         radiance = staged.accumulate(timing, progress, started)
         display = timing.run("display", lambda: staged.display.run(staged.targets, radiance))
@@ -77,11 +80,13 @@ class Renderer:
         current = self._staged
         if current is not None and current.fits(scene, settings, size, aovs):
             return current
-        upload = current.upload if current is not None and current.shares_upload(scene, settings) else None
+        kept = None
         if current is not None:
-            current.release(keep_upload=upload is not None)
+            if current.shares_upload(scene, settings):
+                kept = current.upload, current.mover
+            current.release(keep_upload=kept is not None)
             self._staged = None
-        self._staged = Staged(self.context, self.shaders, scene, settings, size, aovs, upload)
+        self._staged = Staged(self.context, self.shaders, scene, settings, size, aovs, kept)
         return self._staged
 
     def close(self) -> None:
@@ -111,23 +116,33 @@ class Staged:
         settings: Settings,
         size: tuple[int, int],
         aovs: tuple[str, ...],
-        upload: GpuScene | None = None,
+        kept: tuple[GpuScene, Mover | None] | None = None,
     ) -> None:
         self.context, self.shaders, self.scene, self.settings, self.aovs = context, shaders, scene, settings, aovs
-        self.drawn = scene = deform.at_time(scene, settings.time, settings.clip)
+        self.mover: Mover | None
+        upload, self.mover = kept or (None, None)
+        moving = self.mover.motion if self.mover is not None else motion.wanted(scene, settings)
+        self.drawn = scene = moving.start if moving is not None else deform.at_time(scene, settings.time, settings.clip)
         self.plan = plan.make(
-            scene, settings, software=context.device.software, clip_control=context.limits.clip_control
+            scene, settings, software=context.device.software, clip_control=context.limits.clip_control, motion=moving
         )
         features = self.plan.features
         if upload is None:
             data = geometry.build(
-                scene, self.plan.levels, tangents=features.tangents, attributes=features.extra_attributes
-            )
-            upload = GpuScene(context, scene, data, features)
+                scene, self.plan.levels, tangents=features.tangents, attributes=features.extra_attributes,
+                deforming=moving.deforming if moving is not None else frozenset(),
+            )  # fmt: skip
+            upload = GpuScene(context, scene, data, features, moving)
         self.upload = upload
+        if moving is not None and self.mover is None:
+            self.mover = Mover(context, shaders, upload, moving, features, settings.rebuild)
+        self.bounds = moving.bounds if moving is not None else scene.bounds()
+        if moving is not None and "motion" in aovs:
+            upload.keep_previous(vertices=bool(moving.deformers))
+            features = features.replace(moving=True, deforming=bool(moving.deformers))
         empty = not len(upload.geometry.meshes)
         features = features.replace(
-            bvh_stack=upload.stack_entries,
+            bvh_stack=max(upload.stack_entries, upload.stack_needed()),
             reason="reason" in aovs,
             reflections=features.reflections and not empty,
             visibility=features.visibility and not empty,
@@ -140,10 +155,8 @@ class Staged:
         self.sky = Sky(context, shaders, scene.environment, features)
         upload.resources.update(self.sky.resources, Frame=self.frame_buffer)
         self.targets = Targets(context, size)
-        trace = self.plan.primary == "trace" and not empty
-        self.gbuffer = (
-            GBufferTrace(shaders, upload, features) if trace else GBufferRaster(context, shaders, upload, features)
-        )
+        self._flipped = upload.flipped
+        self.gbuffer = self._make_gbuffer()
         self.shadow = Shadow(shaders, upload, features) if features.visibility else None
         self.reflect = Reflect(shaders, upload, features) if features.reflections else None
         reference = settings.reflections == "reference"
@@ -155,13 +168,45 @@ class Staged:
         self._ids: Any = None
 
     def fits(self, scene: Scene, settings: Settings, size: tuple[int, int], aovs: tuple[str, ...]) -> bool:
-        same = scene is self.scene and settings == self.settings and size == self.targets.size
-        return same and ("reason" in aovs) == self.features.reason
+        if scene is not self.scene or self._timeless(settings) != self._timeless(self.settings):
+            return False
+        if self.mover is not None and ("motion" in aovs) != self.features.moving:
+            return False
+        return size == self.targets.size and ("reason" in aovs) == self.features.reason and not self.outgrown
 
     def shares_upload(self, scene: Scene, settings: Settings) -> bool:
-        """Whether trees and buffers serve these settings too."""
-        same = scene is self.scene and settings.levels == self.settings.levels
-        return same and (settings.time, settings.clip) == (self.settings.time, self.settings.clip)
+        """Whether trees, buffers and what moves them serve these settings too."""
+        names = ("time", "clip", "levels", "rebuild")
+        ours, theirs = ([getattr(self._timeless(s), name) for name in names] for s in (self.settings, settings))
+        return scene is self.scene and ours == theirs
+
+    def _timeless(self, settings: Settings) -> Settings:
+        """The settings, but for the time where any time of the clip is as good."""
+        live = self.mover is not None and motion.animated(settings)
+        return settings.replace(time=None, clip=settings.clip or "") if live else settings
+
+    @property
+    def outgrown(self) -> bool:
+        """Whether trees have become too deep for the programs."""
+        return self.upload.stack_needed() > self.features.bvh_stack
+
+    def _make_gbuffer(self) -> GBufferRaster | GBufferTrace:
+        if self.plan.primary == "trace" and not self.empty:
+            return GBufferTrace(self.shaders, self.upload, self.features)
+        return GBufferRaster(self.context, self.shaders, self.upload, self.features)
+
+    def aim(self, settings: Settings, camera: int | str | Camera | None) -> View:
+        """Everything to the time of the settings, and the view of a camera there."""
+        scene = self.drawn
+        if self.mover is not None:
+            scene = self.mover.show(settings.time or 0.0)
+            if not np.array_equal(self._flipped, self.upload.flipped):  # the raster's states say who is mirrored
+                self.gbuffer.release()
+                self._flipped, self.gbuffer = self.upload.flipped, self._make_gbuffer()
+        clip_control = self.context.limits.clip_control
+        view = make_view(choose_camera(scene, camera), self.targets.size, scene, clip_control, self.bounds)
+        self.look(view)
+        return view
 
     def look(self, view: View) -> None:
         """Points the next frames through a view."""
@@ -262,7 +307,8 @@ class Staged:
 
     def receipt(self, view: View, timing: Timing, first_image_ms: float) -> dict[str, Any]:
         """What was drawn, how, on what, and how long it took."""
-        scene, medians = self.scene, timing.medians()
+        scene = self.scene
+        medians = (self.mover.ms if self.mover is not None else {}) | timing.medians()
         warnings = list(scene.warnings)
         if self.settings.time is not None or self.settings.clip is not None:
             warnings += pose.notes(scene, self.settings.time, self.settings.clip)
@@ -284,7 +330,9 @@ class Staged:
                 "passes": list(self.plan.passes), "programs": self.shaders.names, "primary": self.plan.primary,
                 "levels": self.upload.geometry.levels, "reasons": list(self.plan.reasons),
                 "image_bytes": self.targets.bytes + self.sky.bytes + self.upload.image_bytes,
-                "buffer_bytes": self.upload.buffer_bytes + self.frame_buffer.size, "skipped": list(self.plan.skipped),
+                "buffer_bytes": self.upload.buffer_bytes + self.frame_buffer.size
+                + (self.mover.bytes if self.mover is not None else 0),
+                "skipped": list(self.plan.skipped),
             },
             "bvh": self.upload.bvh_stats(),
             "passes": [{"name": name, "ms": ms} for name, ms in medians.items()],
@@ -299,6 +347,8 @@ class Staged:
                 owner.release()
         self.frame_buffer.release()
         if not keep_upload:
+            if self.mover is not None:
+                self.mover.release()
             self.upload.release()
 
 

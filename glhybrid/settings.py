@@ -127,6 +127,9 @@ class Settings:
         None, "seconds into the clip, held at its ends; auto: the pose at rest", float, -1e9, 1e9, auto=None
     )
     clip: str | None = _setting(None, "name or number of the animation to play; auto: the first", str, auto=None)
+    rebuild: float = _setting(
+        1.5, "growth of a deforming tree's SAH cost that has it built anew; 1: every frame, 0: never", float, 0, 1e9
+    )
     levels: Literal["auto", 1, 2] = _setting("auto", "levels of the tree", str, choices=("auto", 1, 2))
     primary: Literal["auto", "raster", "trace"] = _setting(
         "auto", "how first surfaces are found", str, choices=("auto", "raster", "trace")

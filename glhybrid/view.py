@@ -28,10 +28,15 @@ class View:
     pixel_angle: float
 
 
-def make_view(camera: Camera, size: tuple[int, int], scene: Scene, clip_control: bool = True) -> View:
-    """Reversed, infinite depth (1 at the near plane); NDC depth is 0 to 1 with clip_control, else -1 to 1."""
+def make_view(
+    camera: Camera, size: tuple[int, int], scene: Scene, clip_control: bool = True, bounds: F64 | None = None
+) -> View:
+    """Reversed, infinite depth (1 at the near plane); NDC depth is 0 to 1 with clip_control, else -1 to 1.
+
+    bounds: (2, 3) of all that the scene may reach; default: of where it is.
+    """
     width, height = size
-    bounds = scene.bounds()
+    bounds = scene.bounds() if bounds is None else bounds
     extent = float(np.linalg.norm(bounds[1] - bounds[0])) or 1.0
     pose = camera.world_from_view
     grid = 2.0 ** np.floor(np.log2(extent / 64))

@@ -36,7 +36,7 @@ class GBufferRaster:
         }
         if features.alpha_test:
             self._programs[True] = shaders.raster("gbuffer", features.replace(sphere_proxy=False))
-        batches, pairs = _batches(geometry)
+        batches, pairs = _batches(geometry, scene.flipped)
         self._batches = []
         if batches:
             index = self._own(gl.buffer(np.ascontiguousarray(geometry.triangles[:, :3])))
@@ -101,7 +101,7 @@ class GBufferRaster:
 
 
 def _batches(
-    geometry: Geometry,
+    geometry: Geometry, mirrored: np.ndarray
 ) -> tuple[list[tuple[tuple[bool, bool, bool], list[tuple[int, ...]]]], list[tuple[int, int]]]:
     """Indirect commands by raster state, and the (instance, first triangle) pairs that they index.
 
@@ -109,7 +109,6 @@ def _batches(
     """
     states = [draw_state(m) for m in geometry.materials]
     group_state = [states[material] for _, material, _, _ in geometry.hit_groups.tolist()]
-    mirrored = np.linalg.det(geometry.world_from_object[:, :3, :3]) < 0
     pairs: list[tuple[int, int]] = []
     commands: dict[tuple[bool, bool, bool], list[tuple[int, ...]]] = {}
     # Instances that share mesh, records and handedness are drawn by one command a run of equal states.

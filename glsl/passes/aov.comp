@@ -25,6 +25,35 @@ uvec4 steps_of(Pixel p) {
 }
 #endif
 
+// Where this point of the surface was a frame ago, in this frame's world: the same sums as for where it is now.
+#if USE_MOVING && USE_AOV == 13
+layout(std430) readonly buffer PreviousInstances { Placement previous_instances[]; };
+#if USE_DEFORMING
+uniform usamplerBuffer previous_vertices;
+#else
+#define previous_vertices vertices
+#endif
+
+vec3 previous_vertex(uint i) { return uintBitsToFloat(texelFetch(previous_vertices, int(i) * 2).xyz); }
+
+vec3 previous_position(Pixel p, Surface s) {
+    mat4x3 m = previous_instances[p.hit.instance].world_from_object;
+    uvec4 tri = texelFetch(triangles, int(p.hit.triangle));
+    vec3 v0 = previous_vertex(tri.x);
+    vec3 e1 = previous_vertex(tri.y) - v0, e2 = previous_vertex(tri.z) - v0;
+    precise vec3 p_os = v0 + (p.hit.bary.x * e1 + p.hit.bary.y * e2);
+    if (SPHERES && hit_group_of(p.hit.instance, tri.w).kind == KIND_SPHERE) {
+        Instance inst = instances[p.hit.instance];
+        p_os = mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]) * s.point.position
+             + inst.object_from_world[3];
+    }
+    precise vec3 p_ws = m[3] + mat3(m[0], m[1], m[2]) * p_os;
+    return p_ws;
+}
+#else
+vec3 previous_position(Pixel p, Surface s) { return s.point.position; }
+#endif
+
 uvec4 value_of(Pixel p) {
 #if USE_AOV == 14
     return steps_of(p);
@@ -49,7 +78,7 @@ uvec4 value_of(Pixel p) {
     if (USE_AOV == AOV_TRIANGLE_ID) return uvec4(p.hit.triangle);
     // AOV_MOTION: to where the point was a frame ago, pixels, y down.
     precise vec4 now = frame.clip_from_world * vec4(s.point.position, 1.0);
-    precise vec4 before = frame.previous_clip_from_world * vec4(s.point.position, 1.0);
+    precise vec4 before = frame.previous_clip_from_world * vec4(previous_position(p, s), 1.0);
     vec2 moved = (before.xy / before.w - now.xy / now.w) * 0.5 * vec2(frame.size_px);
     return bits(vec3(moved.x, -moved.y, 0.0));
 #endif

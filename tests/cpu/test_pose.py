@@ -150,7 +150,7 @@ def test_an_object_scaled_to_nothing_can_still_be_inverted() -> None:
     for c, size in ((shrink, 0), (flat, 3)):
         scene = scene_of(quad(), (Node("n", -1),), c, instances=(Instance(0, np.eye(4), node=0),))
         matrix = posed(scene, evaluate(scene, 1, scene.animations[0])).instances[0].world_from_object
-        assert np.isfinite(np.linalg.inv(matrix)).all() and abs(matrix[0, 0] - size) < 1e-9
+        assert np.isfinite(np.linalg.inv(matrix)).all() and abs(matrix[0, 0] - size) < 1e-6
 
 
 @pytest.mark.parametrize("count", [4, 8])
@@ -188,7 +188,7 @@ def test_weights_are_made_to_add_up_and_a_vertex_without_any_stays() -> None:
 
 
 def test_normals_of_a_bent_and_squashed_joint() -> None:
-    """Normals go by the inverse transpose: of a plane at 45 degrees squashed to half in X, (2, 0, 1) over its length."""
+    """Normals go by the inverse transpose: of a plane at 45 degrees squashed to half in X, (2, 0, 1) / sqrt 5."""
     piece = Triangles(QUAD, QUAD_INDEX, np.tile(f32([0.5**0.5, 0, 0.5**0.5]), (4, 1)),
                       joints=np.zeros((4, 4), np.uint16), weights=np.tile(f32([1, 0, 0, 0]), (4, 1)))  # fmt: skip
     matrix = np.diag([0.5, 1, 1, 1])[None]
