@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from glhybrid import geometry, layout, plan
 from glhybrid.context import Context
-from glhybrid.errors import SettingError
 from glhybrid.gl import GL_RGBA32F, BufferTexture
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.load.defaults import default_light
@@ -28,6 +27,7 @@ CLASSES = ("camera", "shadow", "mirror", "diffuse")
 ANY_HIT = "shadow"  # the class that asks any hit; the others ask for the closest
 UNBOUNDED = 1 << 20  # inner nodes in a row: until a leaf
 MOST_FLAT = 8_000_000  # triangles: instances beyond are not flattened for a variant or a peer
+LIFT = 2.0**-20  # of the largest coordinate: 16 ulp, what rays of a bounce start above their surface
 ROOMY_STACK = 64  # entries where nothing is timed: one program makes the rays of most scenes
 MOST_RAYS = 1 << 22  # of one class: 2 texels each, 32 bytes, within the storage blocks of every driver
 
@@ -127,12 +127,12 @@ class Tracer:
     """
 
     def __init__(self, context: Context, shaders: Shaders, scene: Scene, camera: Camera, size: tuple[int, int]) -> None:
-        if size[0] * size[1] > MOST_RAYS:
-            raise SettingError(f"--size {size[0]}x{size[1]}: the bench sends at most {MOST_RAYS:,} rays of a class")
+        assert size[0] * size[1] <= MOST_RAYS
         self.context, self.shaders, self.scene = context, shaders, plain(scene)
         self.view = make_view(camera, size, self.scene)
         self._structures: dict[int, Structure] = {}
         self._owned: list[Any] = []
+        self.extent = float(np.abs(self.scene.bounds() - self.view.origin).max())  # largest |coordinate|, m
         self.own = default_variant(self.scene, context.device.software)
         self.rays = {name: self._make_rays(name) for name in CLASSES}
         self._sources = {name: self._upload_rays(rays) for name, rays in self.rays.items()}
@@ -157,7 +157,9 @@ class Tracer:
         target = self.context.gl.buffer(reserve=width * height * 64 * 32)
         stack = max(ROOMY_STACK, structure.features.bvh_stack)
         structure.program("rays", bvh_inner_steps=self.own.inner_steps, bvh_stack=stack).dispatch(
-            {**structure.resources, "Rays": target, "ray_class": CLASSES.index(name)}, (width, height), (1, 1)
+            {**structure.resources, "Rays": target, "ray_class": CLASSES.index(name), "lift": LIFT * self.extent},
+            (width, height),
+            (1, 1),
         )
         data = np.frombuffer(target.read(), np.float32).reshape(-1, 8)
         target.release()

@@ -1,4 +1,4 @@
-// bench/rays.comp -- the rays of one class, by tile: camera rays, or what leaves their hits as the passes send it.
+// bench/rays.comp -- the rays of one class, by tile: camera rays, or what leaves their hits.
 #include "lib/surface.glsl"
 #include "lib/light.glsl"
 #include "lib/random.glsl"
@@ -8,6 +8,7 @@ const uint CAMERA = 0u, SHADOW = 1u, MIRROR = 2u, DIFFUSE = 3u;   // as CLASSES 
 
 layout(std430) writeonly buffer Rays { vec4 rays[]; };   // origin, t_max (negative: no ray); direction, 0
 uniform uint ray_class;
+uniform float lift;    // m
 
 void main() {
     ivec2 px = tile_pixel();
@@ -30,7 +31,8 @@ void main() {
         if (ray_class == SHADOW) next.dir = light.dir;
         if (ray_class == MIRROR) next.dir = reflect(ray.dir, p.n_geo);
         if (dot(next.dir, p.n_geo) <= 0.0) return;
-        next.origin = ray_origin(p, next.dir);
+        // Further than a frame's rays: they must clear this surface also where its vertices are rounded otherwise.
+        next.origin = ray_origin(p, next.dir) + lift * p.n_geo;
         next.t_max = ray_class == SHADOW ? light.distance : INFINITY;
     }
     rays[2u * i] = vec4(next.origin, next.t_max);
