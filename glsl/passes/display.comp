@@ -46,7 +46,8 @@ vec3 srgb_encode(vec3 c) {
 void main() {
     ivec2 px = tile_pixel();
     if (any(greaterThanEqual(px, frame.size_px))) return;                  // groups overhang the edge
-    vec3 c = max(texelFetch(radiance, px, 0).rgb * exp2(exposure_ev), 0.0);
+    // Up to what every curve can square without overflow.
+    vec3 c = clamp(texelFetch(radiance, px, 0).rgb * exp2(exposure_ev), 0.0, 1e9);
     if (frame.tone_map == TONE_ACES) c = tone_aces(c);
     if (frame.tone_map == TONE_AGX) c = tone_agx(c);
     if (frame.tone_map == TONE_PBR_NEUTRAL) c = tone_pbr_neutral(c);

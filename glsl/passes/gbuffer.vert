@@ -25,4 +25,5 @@ void main() {
 #endif
     precise vec3 p = inst.world_from_object[3] + mat3(inst.world_from_object[0], inst.world_from_object[1], inst.world_from_object[2]) * position;
     gl_Position = frame.clip_from_world * vec4(p, 1.0);
+    gl_Position.xy -= 2.0 * frame.jitter_px / vec2(frame.size_px) * gl_Position.w;   // samples where primary_ray looks
 }
