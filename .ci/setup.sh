@@ -74,6 +74,9 @@ if ! [ -f "$stamp" ] || [ pyproject.toml -nt "$stamp" ] || ! [ -x .venv/bin/glhy
     fresh=1
 fi
 
+# The tree builder compiles at its first use; that wait belongs here, not in front of somebody's first model.
+[ -z "${fresh:-}" ] || .venv/bin/python -c 'from glhybrid import bvh; bvh.warm_up()'
+
 if ! opengl_works; then
     apt_install "no OpenGL driver works yet, Mesa renders in software" libegl1 libegl-mesa0 libgl1-mesa-dri || true
     opengl_works || { .venv/bin/glhybrid doctor >&2; exit 3; }
