@@ -48,4 +48,6 @@ BARS = {
     "prefilter, median": Bar(0.01, "measured 0.003"),
     "prefilter, largest": Bar(0.08, "measured 0.048, beside a lamp 2,000 times brighter; 256 samples were 8.0 off"),
     "half float": Bar(1e-3, "convolutions and the split-sum table are half floats, 2^-11, twice"),
+    # test_display.py
+    "display step": Bar(0.75, "of 255: half a step is rounding, the rest pow and log2 of a GPU"),
 }
