@@ -1,0 +1,82 @@
+"""Frames to files: resumed, never broken, and each the same however it was reached."""
+
+import signal
+import subprocess
+import sys
+import time
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from glhybrid import sequence
+from glhybrid.load import load
+from glhybrid.renderer import Renderer
+from glhybrid.settings import Settings
+
+if TYPE_CHECKING:
+    from glhybrid.context import Context
+
+SIZE = (48, 40)
+
+
+def run(renderer: Renderer, scene: Any, pattern: Path, frames: str, aovs: tuple[str, ...] = (), **more: Any) -> Any:
+    made = sequence.make(scene, Settings(aa=1, exposure=0.0), frames, 12, turntable=more.pop("turntable", 0))
+    return sequence.run(renderer, made, str(pattern), SIZE, aovs, **more)
+
+
+def test_finished_frames_are_kept(context: "Context", models: Path, tmp_path: Path) -> None:
+    scene = load(models / "CesiumMan/CesiumMan.glb")
+    pattern = tmp_path / "man_{frame:03d}.png"
+    with Renderer(context=context) as renderer:
+        first = run(renderer, scene, pattern, "0:6:2")
+        assert (first["written"], first["kept"]) == (3, 0)
+        old = {p: p.stat().st_mtime_ns for p in tmp_path.iterdir()}
+        dead = subprocess.Popen([sys.executable, "-c", ""])
+        dead.wait()
+        leftover = tmp_path / f".man_003.{dead.pid}.part.png"
+        leftover.write_bytes(b"half")
+        again = run(renderer, scene, pattern, "0:6")
+        assert (again["written"], again["kept"]) == (3, 3)
+        assert all(p.stat().st_mtime_ns == t for p, t in old.items()) and not leftover.exists()
+        sought = renderer.render(scene, size=SIZE, settings=Settings(aa=1, exposure=0.0, time=5 / 12))
+    assert sorted(p.name for p in tmp_path.iterdir()) == [f"man_{i:03d}.png" for i in range(6)]
+    pictures = [np.asarray(Image.open(tmp_path / f"man_{i:03d}.png")) for i in range(6)]
+    np.testing.assert_array_equal(pictures[5], sought.rgb)
+    assert all((a != b).any() for a, b in pairwise(pictures))
+
+
+@pytest.mark.parametrize("turntable", [0, 30])
+def test_motion_of_a_frame_does_not_depend_on_the_run(
+    context: "Context", models: Path, tmp_path: Path, turntable: int
+) -> None:
+    scene = load(models / "CesiumMan/CesiumMan.glb")
+    with Renderer(context=context) as renderer:
+        run(renderer, scene, tmp_path / "a{frame}.npz", "3:6", ("motion",), turntable=turntable)
+    with Renderer(context=context) as renderer:
+        run(renderer, scene, tmp_path / "b{frame}.npz", "5:6", ("motion",), turntable=turntable)
+    a, b = (np.load(tmp_path / f"{name}5.npz")["motion"] for name in "ab")
+    np.testing.assert_array_equal(a, b)
+    assert np.abs(a).max() > 0.3
+
+
+@pytest.mark.slow
+def test_a_killed_run_leaves_whole_frames(models: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "glhybrid", "render", str(models / "Fox/Fox.glb"), "--frames", "0:400", "--size",
+               "64x48", "--aa", "1", "--quiet", "-o", str(tmp_path / "{frame:04d}.png")]  # fmt: skip
+    for stop in (signal.SIGKILL, signal.SIGINT):
+        before = len(list(tmp_path.glob("[0-9]*.png")))
+        process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        deadline = time.monotonic() + 60
+        while len(list(tmp_path.glob("[0-9]*.png"))) < before + 5 and time.monotonic() < deadline:
+            time.sleep(0.02)
+        process.send_signal(stop)
+        code = process.wait(timeout=30)
+        assert code == (-signal.SIGKILL if stop == signal.SIGKILL else 130)
+        done = sorted(tmp_path.glob("[0-9]*.png"))
+        assert before + 5 <= len(done) < 400 and [p.stem for p in done] == [f"{i:04d}" for i in range(len(done))]
+        for path in done:
+            Image.open(path).load()
