@@ -157,6 +157,10 @@ class GL:
         self.glClearBufferuiv(GL_COLOR, 0, (c_uint * 4)(value, value, value, value))
         self.glClearBufferfv(GL_DEPTH, 0, (c_float * 1)(0.0))
 
+    def clear_depth(self) -> None:
+        """Clears the bound framebuffer's depth to 0 (far, reversed)."""
+        self.glClearBufferfv(GL_DEPTH, 0, (c_float * 1)(0.0))
+
     def depth32f(self, ctx: "moderngl.Context", size: tuple[int, int]) -> "moderngl.Texture":
         """A depth texture of 32-bit floats, (W, H), ready to be a moderngl depth_attachment; sampling gives raw depth.
 

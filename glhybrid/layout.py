@@ -137,6 +137,25 @@ STRUCTS: dict[str, list[Row]] = {
         ("float", "pad", "m that boxes are wider on every side"),
         ("vec3", "grid_step", ""),
     ],
+    # A depth map in its tile of the atlas: texels are (right, up) / texel - first_texel, depth is along axis - start.
+    "ShadowMap": [
+        ("vec3", "origin", "origin-relative, m; 0 for parallel rays"),
+        ("float", "start", "m along axis where the map begins; 0 from a point"),
+        ("vec3", "right", "unit"),
+        ("float", "near", "near plane of a map from a point, m; 0 = parallel rays"),
+        ("vec3", "up", "unit"),
+        ("float", "range", "m from start to end"),
+        ("vec3", "axis", "unit, the way the light travels"),
+        ("uint", "size", "texels a side"),
+        ("vec2", "texel", "m a texel; from a point: tangent a texel"),
+        ("vec2", "first_texel", "of the tile, on the grid that starts at the origin"),
+        ("ivec2", "corner", "of the tile in the atlas"),
+    ],
+    "ShadowLight": [
+        ("uint", "first_map", "row of ShadowMaps"),
+        ("uint", "map_count", "cascades, finest first; 6 = faces +X -X +Y -Y +Z -Z"),
+        ("uint", "cube", "1 = faces"),
+    ],
     "Emitter": [  # reference only
         ("uint", "instance", "row of instances"),
         ("uint", "triangle", "row of triangles"),
@@ -153,6 +172,8 @@ CONSTANTS: dict[str, int] = {
     "ANY_HIT_OPAQUE": 0, "ANY_HIT_MASK": 1, "ANY_HIT_TINT": 2,
     "ALPHA_OPAQUE": 0, "ALPHA_MASK": 1, "ALPHA_BLEND": 2,
     "LIGHT_DIRECTIONAL": 0, "LIGHT_POINT": 1, "LIGHT_SPOT": 2,
+    # How depth maps are looked up: nearest texel, box over texels, turned disc of taps, disc sized by the blockers.
+    "FILTER_TAP": 0, "FILTER_BOX": 1, "FILTER_DISC": 2, "FILTER_PCSS": 3,
     "WRAP_REPEAT": 0, "WRAP_CLAMP": 1, "WRAP_MIRROR": 2,
     "TONE_NONE": 0, "TONE_ACES": 1, "TONE_AGX": 2, "TONE_PBR_NEUTRAL": 3,
     # Texture slots of a material, in the order of scene.TEXTURE_SLOTS.

@@ -6,6 +6,8 @@ Each field of Features is a define, always set, 0 or 1 (or a number): USE_<NAME>
 
 from dataclasses import dataclass, fields, replace
 
+from glhybrid import techniques
+from glhybrid.layout import CONSTANTS
 from glhybrid.scene import TEXTURE_SLOTS, Material, Scene, Sphere, Triangles
 from glhybrid.settings import Settings
 
@@ -30,7 +32,9 @@ class Features:
     specular_sky: bool = False  # the environment is seen in the specular lobe
     shadow_rays: bool = False  # hits and layers send their own
     shadow_bits: bool = False  # and their answers are yes or no, for at most 32 lights
-    visibility: bool = False  # the shadow pass runs
+    visibility: bool = False  # a shadow pass runs
+    shadow_maps: bool = False  # and looks up depth maps, as do hits and layers
+    map_filter: int = 0  # how (layout FILTER_*)
     reflections: bool = False  # the reflect pass runs
     emitters: bool = False  # reference: some triangles shine
     terminator: bool = False
@@ -51,7 +55,7 @@ class Features:
         """Names as GLSL knows them, with values."""
         values = {f.name.upper(): int(getattr(self, f.name)) for f in fields(self)}
         return {
-            name if name.startswith(("BVH_", "TEXTURE_SLOTS")) else f"USE_{name}": value
+            name if name.startswith(("BVH_", "TEXTURE_SLOTS", "MAP_")) else f"USE_{name}": value
             for name, value in values.items()
         }
 
@@ -83,6 +87,14 @@ def reflective(material: Material, cutoff: float) -> bool:
     return not material.unlit and (material.roughness < cutoff or "metallic_roughness" in material.textures or coated)
 
 
+def _map_filter(settings: Settings) -> int:
+    name = settings.shadows
+    if name == "pcf":
+        name = settings.parameter("shadows.pcf.kernel")
+    filters = {"map": "TAP", "csm": "BOX", "box": "BOX", "disc": "DISC", "pcss": "PCSS"}
+    return CONSTANTS[f"FILTER_{filters[name]}"]
+
+
 def find(scene: Scene, settings: Settings) -> Needs:
     """Looks at what is drawn and lit. Anything no scene object uses is left out and said in `skipped`."""
     materials = [scene.materials[i] for i in used_materials(scene)]
@@ -99,7 +111,9 @@ def find(scene: Scene, settings: Settings) -> Needs:
     cutoff = settings.parameter("reflections.ray-lerp.cutoff")
     mirrors = any(reflective(m, cutoff) for m in materials)
     reflections = settings.reflections == "ray-lerp" and mirrors
-    visibility = lit and settings.shadows == "ray" and not reference
+    technique = techniques.SHADOWS[settings.shadows]
+    visibility = lit and settings.shadows != "none" and not reference
+    shadow_maps = visibility and technique.depth_maps
     blended = any(m.alpha_mode == "BLEND" or m.transmission > 0 for m in materials)
     features = Features(
         spheres=any(isinstance(p, Sphere) for m in meshes for p in m.primitives),
@@ -117,11 +131,13 @@ def find(scene: Scene, settings: Settings) -> Needs:
         environment_map=environment and scene.environment is not None and not scene.environment.constant,
         specular_sky=environment and settings.reflections != "none",
         shadow_rays=lit and settings.shadows != "none",
-        shadow_bits=lit and settings.shadows != "none" and not blended and len(scene.lights) <= 32,
+        shadow_bits=lit and settings.shadows != "none" and not shadow_maps and not blended and len(scene.lights) <= 32,
         visibility=visibility,
+        shadow_maps=shadow_maps,
+        map_filter=_map_filter(settings) if shadow_maps else 0,
         reflections=reflections,
         emitters=reference and any(max(m.emissive) > 0 for m in materials),
-        terminator=visibility and settings.terminator,
+        terminator=visibility and settings.terminator and not shadow_maps,
     )
     skipped = []
     if not reference:

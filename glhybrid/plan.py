@@ -64,7 +64,8 @@ def make(
     if reference:
         passes.append("reference")
     else:
-        passes += ["shadow"] * features.visibility + ["reflect"] * features.reflections + ["composite"]
+        shadow = "shadow_map" if features.shadow_maps else "shadow"
+        passes += [shadow] * features.visibility + ["reflect"] * features.reflections + ["composite"]
     passes.append("display")
     return Plan(features, levels, primary, tuple(passes), tuple(reasons), tuple(skipped))
 

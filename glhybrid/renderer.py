@@ -18,6 +18,7 @@ from glhybrid.passes.gbuffer import GBufferRaster, GBufferTrace
 from glhybrid.passes.reference import Reference
 from glhybrid.passes.reflect import Reflect
 from glhybrid.passes.shadow import Shadow
+from glhybrid.passes.shadow_map import ShadowMap
 from glhybrid.passes.sky import Sky
 from glhybrid.scene import Camera, Scene
 from glhybrid.settings import Settings
@@ -146,6 +147,7 @@ class Staged:
             reason="reason" in aovs,
             reflections=features.reflections and not empty,
             visibility=features.visibility and not empty,
+            shadow_maps=features.shadow_maps and not empty,
             shadow_rays=features.shadow_rays and not empty,
             shadow_bits=features.shadow_bits and not empty,
         )
@@ -157,7 +159,12 @@ class Staged:
         self.targets = Targets(context, size)
         self._flipped = upload.flipped
         self.gbuffer = self._make_gbuffer()
-        self.shadow = Shadow(shaders, upload, features) if features.visibility else None
+        self.shadow: Shadow | ShadowMap | None = None
+        if features.shadow_maps:
+            self.shadow = ShadowMap(context, shaders, upload, features, settings)
+            upload.resources.update(self.shadow.resources)
+        elif features.visibility:
+            self.shadow = Shadow(shaders, upload, features)
         self.reflect = Reflect(shaders, upload, features) if features.reflections else None
         reference = settings.reflections == "reference"
         self.reference = Reference(context, shaders, upload, features) if reference else None
@@ -212,6 +219,8 @@ class Staged:
         """Points the next frames through a view."""
         self._ids = None
         self.upload.rebase(view.origin)
+        if isinstance(self.shadow, ShadowMap):
+            self.shadow.look(view, self.bounds if self.mover is not None else None)
         c, s = self.constants[0], self.settings
         clip = view.clip_from_world
         before = clip if self._previous is None else self._previous[0] @ _translation(view.origin - self._previous[1])
@@ -248,7 +257,7 @@ class Staged:
         visibility = reflection = None
         ids = run("gbuffer", lambda: self.gbuffer.run(targets))
         if self.shadow is not None:
-            visibility = run("shadow", lambda: self.shadow.run(targets, ids, self._set_lights))  # type: ignore[union-attr]
+            visibility = run(self.shadow.name, lambda: self.shadow.run(targets, ids, self._set_lights))  # type: ignore[union-attr]
         if self.reflect is not None:
             reflection = run("reflect", lambda: self.reflect.run(targets, ids))  # type: ignore[union-attr]
         return run("composite", lambda: self.composite.run(targets, ids, visibility, reflection))  # type: ignore[union-attr]
@@ -329,7 +338,7 @@ class Staged:
             "plan": {
                 "passes": list(self.plan.passes), "programs": self.shaders.names, "primary": self.plan.primary,
                 "levels": self.upload.geometry.levels, "reasons": list(self.plan.reasons),
-                "image_bytes": self.targets.bytes + self.sky.bytes + self.upload.image_bytes,
+                "image_bytes": self.targets.bytes + self.sky.bytes + self.upload.image_bytes + self._map_bytes(),
                 "buffer_bytes": self.upload.buffer_bytes + self.frame_buffer.size
                 + (self.mover.bytes if self.mover is not None else 0),
                 "skipped": list(self.plan.skipped),
@@ -340,9 +349,13 @@ class Staged:
             "first_image_ms": first_image_ms,
         }  # fmt: skip
 
+    def _map_bytes(self) -> int:
+        return self.shadow.bytes if isinstance(self.shadow, ShadowMap) else 0
+
     def release(self, keep_upload: bool = False) -> None:
         self.targets.release()
-        for owner in (self.gbuffer, self.display, self.sky, self.reference):
+        maps = self.shadow if isinstance(self.shadow, ShadowMap) else None
+        for owner in (self.gbuffer, self.display, self.sky, self.reference, maps):
             if owner is not None:
                 owner.release()
         self.frame_buffer.release()

@@ -33,18 +33,83 @@ class Technique:
     implemented: bool = False
     stochastic: bool = False
     traced: bool = False  # needs the tree
+    depth_maps: bool = False
     parameters: tuple[Parameter, ...] = ()
 
     def key(self, parameter: Parameter) -> str:
         return f"{self.kind}.{self.name}.{parameter.name}"
 
 
+def _depth_map(*own: Parameter) -> tuple[Parameter, ...]:
+    """What all depth maps share, then a technique's own.
+
+    A texel hides half its size times the slope of a plane: slope_bias 0.5 is the least without acne, 0.75 serves curved
+    surfaces too. Moving points along their normals moves the shadow's border as well, and was worse at any amount.
+    """
+    return (
+        Parameter("resolution", 2048, "texels a side of each depth map", 64, 16384),
+        Parameter("bias", 0.0, "m that a surface is moved to the light before the comparison", 0.0, 1e3),
+        Parameter("slope_bias", 0.75, "the same in texels times the slope of the surface", 0.0, 16.0),
+        Parameter("normal_bias", 0.0, "texels, times the sine, that a point is moved along its normal", 0.0, 16.0),
+        *own,
+    )
+
+
+_PLANE = Parameter("receiver_plane", True, "each tap is compared with the depth of the receiver's plane there")
+
 _ALL = (
     Technique("shadows", "none", "every light reaches every surface", implemented=True),
-    Technique("shadows", "map", "depth map from the light, one tap"),
-    Technique("shadows", "pcf", "depth map, filtered over a fixed width"),
-    Technique("shadows", "pcss", "depth map, filtered over a width from the blocker's distance"),
-    Technique("shadows", "csm", "cascaded depth maps for the sun"),
+    Technique(
+        "shadows",
+        "map",
+        "depth map from the light, one tap",
+        implemented=True,
+        depth_maps=True,
+        parameters=_depth_map(),
+    ),
+    Technique(
+        "shadows",
+        "pcf",
+        "depth map, filtered over a fixed width",
+        implemented=True,
+        depth_maps=True,
+        parameters=_depth_map(
+            Parameter("kernel", "box", "box: all texels, exact; disc: turned Vogel disc", choices=("box", "disc")),
+            Parameter("radius", 1.5, "half width of the filter, texels", 0.5, 64.0),
+            Parameter("taps", 16, "of the disc, each bilinear", 1, 256),
+            _PLANE,
+        ),
+    ),
+    Technique(
+        "shadows",
+        "pcss",
+        "depth map, filtered over a width from the blocker's distance",
+        implemented=True,
+        depth_maps=True,
+        parameters=_depth_map(
+            Parameter("blockers", 32, "taps of the search for blockers", 1, 256),
+            Parameter("taps", 48, "of the filter, each bilinear", 1, 256),
+            Parameter("radius", 0.5, "smallest half width of the filter, texels", 0.0, 64.0),
+            Parameter("search", 64.0, "largest half width of search and filter, texels", 1.0, 512.0),
+            _PLANE,
+        ),
+    ),
+    Technique(
+        "shadows",
+        "csm",
+        "cascaded depth maps for the sun",
+        implemented=True,
+        depth_maps=True,
+        parameters=_depth_map(
+            Parameter("cascades", 4, "maps of a directional light; the last is of the whole scene", 1, 8),
+            Parameter("split", 0.75, "of the view's depth: 0 even, 1 logarithmic", 0.0, 1.0),
+            Parameter("distance", 0.0, "m from the camera that the finer maps serve; 0 = to the scene's end", 0.0, 1e9),
+            Parameter("blend", 0.1, "share of a map over which the next one takes over", 0.0, 0.5),
+            Parameter("snap", True, "maps move by whole texels"),
+            Parameter("radius", 0.5, "half width of the filter, texels", 0.5, 64.0),
+            _PLANE,
+        ),
+    ),
     Technique("shadows", "baked", "lightmap in its own UV set, traced once; static scenes"),
     Technique("shadows", "ray", "one any-hit ray per pixel and light", implemented=True, traced=True),
     Technique("shadows", "ray-soft", "rays to the light's disc, denoised", stochastic=True, traced=True),

@@ -5,20 +5,16 @@ code as at ray hits. Rejected: a fat G-buffer; an H100 takes 0.3 ms for every 4 
 float32 costs accuracy that the tracer then has to live with.
 """
 
-from itertools import groupby
-
 import moderngl
 import numpy as np
 
+from glhybrid import draws
 from glhybrid.context import Context
-from glhybrid.geometry import Geometry, draw_state
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.layout import CONSTANTS
 from glhybrid.needs import Features
 from glhybrid.shaders import Shaders
 from glhybrid.targets import Targets
-
-SPHERE_VERTICES = 36  # of the cube that stands for a sphere
 
 
 class GBufferRaster:
@@ -36,22 +32,22 @@ class GBufferRaster:
         }
         if features.alpha_test:
             self._programs[True] = shaders.raster("gbuffer", features.replace(sphere_proxy=False))
-        batches, pairs = _batches(geometry, scene.flipped)
+        batches, pairs = draws.batches(geometry, scene.flipped)
         self._batches = []
         if batches:
             index = self._own(gl.buffer(np.ascontiguousarray(geometry.triangles[:, :3])))
-            draws = self._own(gl.buffer(np.array(pairs, np.uint32)))
+            per_instance = self._own(gl.buffer(np.array(pairs, np.uint32)))
             for (masked, culled, mirrored), commands in batches:
                 program = self._programs[masked]
                 vertices = scene.resources["vertices"].buffer
-                layout = [(vertices, "3f 20x", "in_position"), (draws, "2u4/i", "in_draw")]
+                layout = [(vertices, "3f 20x", "in_position"), (per_instance, "2u4/i", "in_draw")]
                 vao = gl.vertex_array(program.program, layout, index_buffer=index)
                 self._owned.append(vao)
                 indirect = self._own(gl.buffer(np.array(commands, np.uint32)))
                 cull = (2 if mirrored else 1) if culled else 0
                 self._batches.append((vao, indirect, len(commands), cull, masked))
         self._spheres = None
-        if spheres := _sphere_rows(geometry):
+        if spheres := draws.sphere_rows(geometry):
             self._sphere_program = shaders.raster("gbuffer", features.replace(sphere_proxy=True))
             data = np.zeros(len(spheres), [("sphere", np.float32, 4), ("draw", np.uint32, 2)])
             data["sphere"], data["draw"] = [s[0] for s in spheres], [s[1] for s in spheres]
@@ -88,7 +84,7 @@ class GBufferRaster:
         if self._spheres is not None:
             gl.disable(moderngl.CULL_FACE)
             self._sphere_program.bind(self._scene.resources)
-            self._spheres.render(moderngl.TRIANGLES, SPHERE_VERTICES, instances=self._sphere_count)
+            self._spheres.render(moderngl.TRIANGLES, draws.SPHERE_VERTICES, instances=self._sphere_count)
         gl.enable_only(moderngl.NOTHING)
         gl.memory_barrier()
         ids: moderngl.Texture = targets.get("gbuffer_id")
@@ -98,57 +94,6 @@ class GBufferRaster:
         for owned in reversed(self._owned):
             owned.release()
         self._owned.clear()
-
-
-def _batches(
-    geometry: Geometry, mirrored: np.ndarray
-) -> tuple[list[tuple[tuple[bool, bool, bool], list[tuple[int, ...]]]], list[tuple[int, int]]]:
-    """Indirect commands by raster state, and the (instance, first triangle) pairs that they index.
-
-    Blended surfaces are not drawn: the composite pass meets them along the pixel's ray, in order.
-    """
-    states = [draw_state(m) for m in geometry.materials]
-    group_state = [states[material] for _, material, _, _ in geometry.hit_groups.tolist()]
-    pairs: list[tuple[int, int]] = []
-    commands: dict[tuple[bool, bool, bool], list[tuple[int, ...]]] = {}
-    # Instances that share mesh, records and handedness are drawn by one command a run of equal states.
-    keys = list(zip(geometry.instance_mesh.tolist(), geometry.first_record.tolist(), mirrored.tolist(), strict=True))
-    for key, members in groupby(sorted(range(len(keys)), key=keys.__getitem__), key=keys.__getitem__):
-        mesh_row, first_record, flipped = key
-        instances = list(members)
-        mesh = geometry.meshes[mesh_row]
-        runs: list[list[int]] = []  # state index, first triangle, count
-        run_states: list[tuple[int, int]] = []
-        for number, (first, count) in enumerate(mesh.geometries):
-            state = group_state[geometry.records[first_record + number, 0]]
-            if count == 0 or state[0] == CONSTANTS["ANY_HIT_TINT"]:
-                continue
-            if runs and run_states[-1] == state and runs[-1][0] + runs[-1][1] == first:
-                runs[-1][1] += count
-            else:
-                runs.append([first, count])
-                run_states.append(state)
-        for (first, count), state in zip(runs, run_states, strict=True):
-            base = len(pairs)
-            pairs += [(i, first) for i in instances]
-            masked, single = state[0] == CONSTANTS["ANY_HIT_MASK"], bool(state[1])
-            # count, instances, first index, base vertex, base instance
-            commands.setdefault((masked, single, flipped and single), []).append(
-                (3 * count, len(instances), 3 * first, 0, base)
-            )
-    return sorted(commands.items()), pairs
-
-
-def _sphere_rows(geometry: Geometry) -> list[tuple[np.ndarray, tuple[int, int]]]:
-    """(centre and radius, (instance, triangle row)) of every drawn sphere."""
-    groups = geometry.hit_groups
-    rows = []
-    for i, mesh_row in enumerate(geometry.instance_mesh.tolist()):
-        for triangle, number, sphere in geometry.meshes[mesh_row].spheres:
-            group = groups[geometry.records[geometry.first_record[i] + number, 0]]
-            if group[2] != CONSTANTS["ANY_HIT_TINT"]:
-                rows.append((sphere, (i, triangle)))
-    return rows
 
 
 class GBufferTrace:

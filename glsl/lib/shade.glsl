@@ -3,6 +3,7 @@
 #include "lib/surface.glsl"
 #include "lib/light.glsl"
 #include "lib/environment.glsl"
+#include "lib/shadow_map.glsl"
 
 #if USE_SPECULAR_SKY || USE_REFLECTIONS
 uniform sampler2D dfg;    // (F0 scale, F90 bias) over (NoV, roughness): Karis, "Real Shading in Unreal Engine 4" (2013)
@@ -28,7 +29,16 @@ vec3 visibility_of(Point p, LightSample sample_ws) {
     return any_hit(Ray(ray_origin(p, sample_ws.dir), 0.0, sample_ws.dir, sample_ws.distance));
 }
 
-// Direct light of all lamps, each with its own shadow ray.
+// The same where the technique of shadows says how: a ray, or a look into the light's depth map.
+vec3 visibility_from(Point p, LightSample sample_ws, uint light) {
+#if USE_SHADOW_MAPS
+    return vec3(map_visibility(p, sample_ws.dir, light));
+#else
+    return visibility_of(p, sample_ws);
+#endif
+}
+
+// Direct light of all lamps, each with its own shadow.
 vec3 direct_light(Surface s, vec3 v) {
     vec3 sum = vec3(0.0);
     for (uint i = 0u; i < frame.light_count; i++) {
@@ -36,7 +46,7 @@ vec3 direct_light(Surface s, vec3 v) {
         WHEN (arrives(l) && faces(s, l.dir)) {
             vec3 f = bsdf_eval(s.bsdf, v, l.dir) * l.irradiance;
 #if USE_SHADOW_RAYS
-            f *= visibility_of(s.point, l);
+            f *= visibility_from(s.point, l, i);
 #endif
             sum += f;
         }

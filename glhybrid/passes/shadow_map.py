@@ -1,0 +1,168 @@
+"""Depth maps from the lights, and a look into them per pixel and light -> visibility, a layer a light: as `shadow`.
+
+Techniques `map`, `pcf`, `pcss` and `csm` are one pass: they differ in the filter (a feature), in numbers (uniforms) and
+in where the maps look from (shadow_fit.py). Opaque surfaces and cut-outs cast, from both sides, as they block shadow
+rays; blended ones do not: a depth map knows no tint. Hits of reflection rays and blended layers use the same maps.
+
+All maps are tiles of one 32-bit float atlas. Those of cascades are drawn every frame, as a moving camera needs it;
+others once, and again when what they depend on has changed.
+"""
+
+from typing import Any
+
+import moderngl
+import numpy as np
+
+from glhybrid import draws, shadow_fit, techniques
+from glhybrid.context import Context
+from glhybrid.gpu_scene import GpuScene
+from glhybrid.needs import Features
+from glhybrid.scene import F64
+from glhybrid.settings import Settings
+from glhybrid.shaders import Program, Shaders
+from glhybrid.targets import Targets
+from glhybrid.view import View
+
+LIGHTS_AT_ONCE = 8  # in a dispatch: llvmpipe ends all loops of an invocation at 65,535 turns, taps included
+
+
+class ShadowMap:
+    """Owns the atlas. `resources` has what lib/shadow_map.glsl reads, for every pass that looks into the maps."""
+
+    name = "shadow_map"
+
+    def __init__(
+        self, context: Context, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings
+    ) -> None:
+        self._context, self._scene, self._settings = context, scene, settings
+        self._channel = "visibility_tint" if features.blended else "visibility"
+        self._fit = fit = shadow_fit.Fit.of(settings)
+        self._owned: list[Any] = []
+        self._drawn = False
+        self._maps: Any = None
+        count = sum(shadow_fit.map_counts(scene.lights, fit))
+        key = f"shadows.{settings.shadows}.resolution"
+        self._across = shadow_fit.columns(count, fit.resolution, context.limits.texture_size, key)
+        size = (self._across * fit.resolution, -(-count // self._across) * fit.resolution)
+        gl = context.gl
+        atlas = self._own(context.raw.depth32f(gl, size))
+        atlas.repeat_x = atlas.repeat_y = False
+        self._framebuffer = self._own(gl.framebuffer([], atlas))
+        rows = shadow_fit.empty_rows(scene.lights, fit)
+        self.resources: dict[str, Any] = {
+            "shadow_atlas": atlas, "ShadowMaps": self._own(gl.buffer(rows[0].tobytes())),
+            "ShadowLights": self._own(gl.buffer(rows[1].tobytes())), "map_margin": fit.margin,
+        }  # fmt: skip
+        self.resources |= uniforms(settings)
+        self._program = shaders.compute("shadow_map", features)
+        self._batches = self._make_batches(shaders, features)
+
+    def _own(self, thing: Any) -> Any:
+        self._owned.append(thing)
+        return thing
+
+    def _make_batches(self, shaders: Shaders, features: Features) -> list[tuple[Program, Any, Any, int]]:
+        """(program, vertex array, indirect buffer or None, count) of every draw into a map."""
+        gl, geometry = self._context.gl, self._scene.geometry
+        made: list[tuple[Program, Any, Any, int]] = []
+        batches, pairs = draws.batches(geometry, np.zeros(len(geometry.instance_mesh), bool))
+        if batches:
+            index = self._own(gl.buffer(np.ascontiguousarray(geometry.triangles[:, :3])))
+            per_instance = self._own(gl.buffer(np.array(pairs, np.uint32)))
+            vertices = self._scene.resources["vertices"].buffer
+            for masked in (False, True):  # nothing is culled: both sides block light
+                commands = [c for (cut, _, _), some in batches if cut == masked for c in some]
+                if not commands:
+                    continue
+                program = shaders.raster("shadow_map", features.replace(alpha_test=masked, sphere_proxy=False))
+                layout = [(vertices, "3f 20x", "in_position"), (per_instance, "2u4/i", "in_draw")]
+                vao = self._own(gl.vertex_array(program.program, layout, index_buffer=index))
+                made.append((program, vao, self._own(gl.buffer(np.array(commands, np.uint32))), len(commands)))
+        if spheres := draws.sphere_rows(geometry):
+            data = np.zeros(len(spheres), [("sphere", np.float32, 4), ("draw", np.uint32, 2)])
+            data["sphere"], data["draw"] = [s[0] for s in spheres], [s[1] for s in spheres]
+            program = shaders.raster("shadow_map", features.replace(sphere_proxy=True))
+            content = [(self._own(gl.buffer(data)), "4f 2u4/i", "in_sphere", "in_draw")]
+            made.append((program, self._own(gl.vertex_array(program.program, content)), None, len(spheres)))
+        return made
+
+    @property
+    def bytes(self) -> int:
+        """Of the atlas."""
+        atlas = self.resources["shadow_atlas"]
+        return 4 * atlas.width * atlas.height
+
+    def look(self, view: View, moving: F64 | None = None) -> None:
+        """Fits the maps to a view. They are drawn with the next frame if that changes them.
+
+        moving: (2, 3) world box of all that will ever be drawn, of a scene that moves: drawn after every look.
+        """
+        scene = self._scene.scene
+        boxes = scene.instance_bounds if moving is None else moving[None]
+        maps, lights = shadow_fit.rows(boxes, self._scene.lights, view, self._fit, self._across)
+        if moving is not None or self._maps is None or maps.tobytes() != self._maps.tobytes():
+            self._drawn = False
+        self._maps = maps
+        self.resources["ShadowMaps"].write(maps)
+        self.resources["ShadowLights"].write(lights)
+
+    def draw(self) -> None:
+        """Depth of every map into its tile."""
+        gl = self._context.gl
+        self._framebuffer.use()
+        if self._context.limits.clip_control:
+            self._context.raw.set_depth_zero_to_one()
+        self._framebuffer.depth_mask = True
+        self._framebuffer.viewport = (0, 0, *self._framebuffer.size)
+        self._context.raw.clear_depth()
+        gl.enable_only(moderngl.DEPTH_TEST)
+        gl.depth_func = ">"  # reversed
+        resources = {**self._scene.resources, **self.resources}
+        for k, row in enumerate(self._maps):
+            size = int(row["size"])
+            self._framebuffer.viewport = (*row["corner"].tolist(), size, size)
+            for program, vao, indirect, count in self._batches:
+                program.bind(resources | {"map_index": k})
+                if indirect is None:
+                    vao.render(moderngl.TRIANGLES, draws.SPHERE_VERTICES, instances=count)
+                else:
+                    vao.render_indirect(indirect, moderngl.TRIANGLES, count)
+        gl.enable_only(moderngl.NOTHING)
+        gl.memory_barrier()
+        self._drawn = True
+
+    def run(self, targets: Targets, ids: Any, set_lights: Any) -> Any:
+        """set_lights(first, end) says which lights the next dispatch is for."""
+        if not self._drawn or self._settings.shadows == "csm":
+            self.draw()
+        count = len(self._scene.lights)
+        visibility = targets.get(self._channel, layers=count)
+        resources = {**self._scene.resources, **self.resources, "gbuffer_id": ids, "out_visibility": visibility}
+        for first in range(0, count, LIGHTS_AT_ONCE):
+            if count > LIGHTS_AT_ONCE or first:
+                set_lights(first, min(first + LIGHTS_AT_ONCE, count))
+            self._program.dispatch(resources, targets.size)
+        return visibility
+
+    def release(self) -> None:
+        # moderngl binds the last used framebuffer again when it makes the next one: that must not be one of ours.
+        self._context.gl.detect_framebuffer(0).use()
+        for owned in reversed(self._owned):
+            owned.release()
+        self._owned.clear()
+        self.resources.clear()
+
+
+def uniforms(settings: Settings) -> dict[str, float | int]:
+    """Numbers of lib/shadow_map.glsl, from the parameters of the technique in use; 0 for those that it has not."""
+    name = settings.shadows
+    known = {p.name for p in techniques.SHADOWS[name].parameters}
+    values: dict[str, float | int] = {}
+    for uniform, kind in (
+        ("bias", float), ("slope_bias", float), ("normal_bias", float), ("receiver_plane", float), ("radius", float),
+        ("search", float), ("blend", float), ("taps", int), ("blockers", int),
+    ):  # fmt: skip
+        values[f"map_{uniform}"] = (
+            kind(settings.parameter(f"shadows.{name}.{uniform}")) if uniform in known else kind(0)
+        )
+    return values
