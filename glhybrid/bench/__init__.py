@@ -139,7 +139,7 @@ class _Bench:
         from glhybrid.renderer import Renderer
 
         with Renderer(context=self.context) as renderer:
-            repeats = (2 if self.quick else 7) if self.software else 100
+            repeats = (3 if self.quick else 7) if self.software else 100
             self.report.frames.append(frames.measure(renderer, name, scene, self.size, repeats))
 
     def trace(self, name: str, scene: Scene, everything: bool, build: bool) -> None:

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -14,13 +14,18 @@ from glhybrid.settings import Settings
 from glhybrid.timing import Timing
 from glhybrid.view import choose_camera, make_view
 
+Primary = Literal["auto", "trace"]
+HOST_SIZE = (16, 16)  # pixels
+HOST_FRAMES = 20
+
 
 @dataclass(frozen=True)
 class FrameTimes:
     """passes: ms by pass, medians, each from finish() to finish(). frame_ms: of frames that are not cut up.
 
     host_us: CPU time of the calling thread for one steady frame with nothing finished in it, median: our Python and
-    the driver below it (a software rasteriser sorts triangles into tiles there).
+    the driver below it. A software rasteriser works through all vertices on that thread; there the host is measured on
+    frames of HOST_SIZE whose primary rays are traced, the same calls but for one.
     """
 
     scene: str
@@ -39,10 +44,12 @@ class FrameTimes:
         }
 
 
-def steady_frame(renderer: Renderer, scene: Scene, size: tuple[int, int]) -> Callable[[Timing], None]:
+def steady_frame(
+    renderer: Renderer, scene: Scene, size: tuple[int, int], primary: Primary = "auto"
+) -> Callable[[Timing], None]:
     """What a viewer does for every frame of a scene at rest, made ready: look, constants, passes, display."""
     view = make_view(choose_camera(scene, None), size, scene, renderer.context.limits.clip_control)
-    staged = renderer.stage(scene, Settings(), size)
+    staged = renderer.stage(scene, Settings(primary=primary), size)
 
     def frame(timing: Timing) -> None:
         staged.look(view)
@@ -57,23 +64,37 @@ def measure(renderer: Renderer, name: str, scene: Scene, size: tuple[int, int], 
     """Times `repeats` frames in each way. On a GPU after a warm-up, whole frames without a pause between them."""
     software, finish = renderer.context.device.software, renderer.context.gl.finish
     frame, off = steady_frame(renderer, scene, size), Timing(finish, enabled=False)
-    frame(off)
-    finish()
+    for _ in range(2):  # the first compiles, the second may still have its variants compiled
+        frame(off)
+        finish()
     started = time.perf_counter()
     while not software and time.perf_counter() - started < WARM_UP_S:
         frame(off)
     finish()
-    host, walls = [], []
+    walls = []
     batch = 1 if software else repeats
     for _ in range(repeats // batch):
         wall = time.perf_counter()
         for _ in range(batch):
-            cpu = time.thread_time()
             frame(off)
-            host.append(time.thread_time() - cpu)
         finish()
         walls.append((time.perf_counter() - wall) / batch)
     timing = Timing(finish)
     for _ in range(repeats + 1):  # the first does not count
         frame(timing)
-    return FrameTimes(name, size, timing.medians(), float(np.median(walls)) * 1e3, float(np.median(host)) * 1e6)
+    host = host_seconds(renderer, scene, HOST_SIZE, "trace") if software else host_seconds(renderer, scene, size)
+    return FrameTimes(name, size, timing.medians(), float(np.median(walls)) * 1e3, host * 1e6)
+
+
+def host_seconds(renderer: Renderer, scene: Scene, size: tuple[int, int], primary: Primary = "auto") -> float:
+    """CPU time of the calling thread for a steady frame, median of HOST_FRAMES that nothing waits for."""
+    frame, off = steady_frame(renderer, scene, size, primary), Timing(renderer.context.gl.finish, enabled=False)
+    frame(off)
+    renderer.context.gl.finish()
+    times = []
+    for _ in range(HOST_FRAMES):
+        start = time.thread_time()
+        frame(off)
+        times.append(time.thread_time() - start)
+    renderer.context.gl.finish()
+    return float(np.median(times))
