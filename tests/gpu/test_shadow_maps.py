@@ -16,7 +16,20 @@ import glhybrid as gh
 from glhybrid.errors import SettingError
 from glhybrid.image import Frame
 from glhybrid.load.shapes import box
-from glhybrid.scene import F64, Camera, Image, Instance, Light, Material, Scene, Sphere, Texture
+from glhybrid.scene import (
+    F64,
+    Animation,
+    Camera,
+    Channel,
+    Image,
+    Instance,
+    Light,
+    Material,
+    Node,
+    Scene,
+    Sphere,
+    Texture,
+)
 from glhybrid.study import metrics
 from glhybrid.view import make_view
 
@@ -338,6 +351,39 @@ def test_maps_are_drawn_once_cascades_every_frame(context: "Context", monkeypatc
         renderer.render(scene, camera, (64, 48), settings("map", {"resolution": 256}))
         renderer.render(scene, camera, (64, 48), settings("map", {"resolution": 256}))
         assert len(drawn) == 1  # the second picture has nothing new
+
+
+@pytest.mark.parametrize("technique", ["map", "csm"])
+def test_maps_follow_what_moves(renderer: gh.Renderer, context: "Context", technique: str) -> None:
+    """A box and a lamp that a clip moves: at any time the shadow is that of the rays, forwards and back."""
+    parts = (box(size=(9, 0.2, 9)), box(size=(0.6, 1.2, 0.6)))
+    scene = scene_of(*parts, poses=[moved((0, -0.1, 0)), moved((-2, 0.6, 0))], materials=(WHITE,))
+    still, mover = scene.instances
+    lamp = Light("spot", intensity=40, position=(2, 4, -2), direction=(0, -1, 0), outer_cone=1.0, node=1)
+    down = (-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))  # glTF: a light looks along -Z of its node
+    keys, box_at, lamp_at = (0, 1), ((-2, 0.6, 0), (2, 0.6, 1)), ((2, 4, -2), (0, 3, 1))
+    paths = (np.array(at, np.float32) for at in (box_at, lamp_at))
+    clip = Animation(
+        "go",
+        tuple(Channel(k, "translation", "LINEAR", np.array(keys, np.float32), at) for k, at in enumerate(paths)),
+    )
+    scene = scene.replace(
+        instances=(still, Instance(mover.mesh, mover.world_from_object, node=0)), lights=(lamp,), animations=(clip,),
+        nodes=(Node("box", -1, translation=(-2, 0.6, 0)), Node("lamp", -1, translation=(2, 4, -2), rotation=down)),
+    )  # fmt: skip
+    camera = Camera.look_at((3.5, 4, 5), (0, 0.3, 0), fov_y=0.8)
+    times, names = (0.0, 0.6, 1.0, 0.3), ("visibility", "distance")
+    shadows = {
+        name: [renderer.render(scene, camera, (320, 240), settings(name).replace(time=t), names) for t in times]
+        for name in ("ray", technique)
+    }
+    first = shadows["ray"][0]["visibility"][..., 0]
+    for t, want, got in zip(times, shadows["ray"], shadows[technique], strict=True):
+        counted = np.isfinite(want["distance"])
+        wrong = metrics.wrong_shadow_percent(got["visibility"][..., 0], want["visibility"][..., 0], counted)
+        say(f"{technique} at {t} s: {wrong}")
+        assert wrong.all < 0.4 and wrong.outside < 0.05, (t, wrong)
+        assert t == 0 or (want["visibility"][..., 0] != first).mean() > 0.01  # something moved
 
 
 def test_many_lights_share_the_atlas(renderer: gh.Renderer, context: "Context") -> None:
