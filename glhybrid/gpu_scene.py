@@ -65,7 +65,7 @@ class GpuScene:
         self.top_root = 0
         if features.two_level and geometry.meshes:
             self._centre = scene.bounds().mean(0)
-            self._tlas = bvh.build_tlas(self._instance_boxes() - self._centre)
+            self._tlas = bvh.build_tlas(self._instance_boxes() - self._centre, moving=motion is not None)
             self.top_root = len(nodes)
             nodes = np.concatenate([nodes.reshape(-1, 8), self._top_nodes()])
         self._roots = roots
@@ -152,7 +152,7 @@ class GpuScene:
         rows["flipped"] = self.flipped
         boxes = self._instance_boxes()
         self._centre = (boxes[:, 0].min(0) + boxes[:, 1].max(0)) / 2
-        self._tlas = bvh.build_tlas(boxes - self._centre)
+        self._tlas = bvh.build_tlas(boxes - self._centre, moving=True)
         self.resources["nodes"].buffer.write(self._top_nodes(), offset=self.top_root * 32)
 
     def keep_previous(self, vertices: bool) -> None:

@@ -68,6 +68,7 @@ class Motion:
         self.scene, self.clip = scene, clip
         self.deformers = deformers(scene, clip)
         rest = posing.rest(scene)
+        self._resting = rest.world
         self._lists = scene.replace(instances=())  # what place() moves object by object: lights and cameras
         moving = posing.moving_nodes(scene, clip)
         rows = [i for i, p in enumerate(scene.instances) if p.skin < 0 and p.node in moving]
@@ -94,7 +95,7 @@ class Motion:
         world[self._rows] = _invertible(pose.world[self._nodes] @ self._local)
         for row, skin in self._skinned:
             world[row, :3, 3] = posing.anchor(self.scene, pose, skin)
-        placed = posing.place(self._lists, pose)
+        placed = posing.place(self._lists, pose, self._resting)
         shapes = tuple(self._shape(d, b, pose) for d, b in zip(self.deformers, self._boxes, strict=True))
         return Moment(time, world, placed.lights, placed.cameras, shapes)
 

@@ -148,9 +148,12 @@ def moving_nodes(scene: Scene, clip: Animation) -> frozenset[int]:
     return frozenset(n for n, moves in known.items() if moves)
 
 
-def place(scene: Scene, pose: Pose) -> Scene:
-    """The scene with instances, lights and cameras where the pose has them. Skinned instances stand on their anchor."""
-    resting = rest(scene).world
+def place(scene: Scene, pose: Pose, resting: F64 | None = None) -> Scene:
+    """The scene with instances, lights and cameras where the pose has them. Skinned instances stand on their anchor.
+
+    resting: (N, 4, 4) world_from_node at rest, if it is known.
+    """
+    resting = rest(scene).world if resting is None else resting
     moved = (pose.world != resting).any((1, 2))
     instances = scene.instances
     if scene.skins or moved.any():

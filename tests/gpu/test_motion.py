@@ -18,9 +18,22 @@ from glhybrid.layout import CONSTANTS
 from glhybrid.load import default_camera, load
 from glhybrid.motion import Motion
 from glhybrid.mover import Mover
-from glhybrid.pose import clip_span, evaluate
+from glhybrid.pose import clip_span, evaluate, world_matrices
 from glhybrid.renderer import Renderer
-from glhybrid.scene import Animation, Channel, Instance, Material, Mesh, MorphTarget, Node, Scene, Skin, Triangles
+from glhybrid.scene import (
+    Animation,
+    Camera,
+    Channel,
+    Instance,
+    Light,
+    Material,
+    Mesh,
+    MorphTarget,
+    Node,
+    Scene,
+    Skin,
+    Triangles,
+)
 from glhybrid.settings import Settings
 from glhybrid.shaders import Shaders
 from glhybrid.view import choose_camera, make_view
@@ -289,3 +302,51 @@ def _barycentrics(corners: Any, point: Any) -> Any:
     d, e = (p * e1).sum(1), (p * e2).sum(1)
     v, w = (c * d - b * e) / (a * c - b * b), (a * e - b * d) / (a * c - b * b)
     return np.stack([1 - v - w, v, w], 1)
+
+
+def test_things_that_turn_inside_out_vanish_and_come_back(context: "Context") -> None:
+    """A single-sided quad whose node is mirrored, flattened and scaled to nothing on the way: raster and rays agree."""
+    quad = ray.piece([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
+    scales = [[1, 1, 1], [-1, 1, 1], [-1, 0, 1], [0, 0, 0], [1, 1, 1]]
+    clip = Animation("turn", (channel(0, "scale", scales, range(5)),))
+    scene = Scene(
+        "quad", meshes=(Mesh("quad", (quad,)),), instances=(Instance(0, np.eye(4), "quad", node=0),),
+        materials=(Material(),), nodes=(Node("n", -1),), animations=(clip,),
+        cameras=(Camera.look_at((0, 0, 4), (0, 0, 0)),),
+    )  # fmt: skip
+    seen: dict[int, float] = {}
+    for primary in ("raster", "trace"):
+        with Renderer(context=context) as renderer:
+            for time in (0, 1, 2, 3, 4, 1):
+                settings = Settings(aa=1, time=time, primary=primary)
+                ids = renderer.render(scene, size=(32, 32), settings=settings, aovs=("instance_id",))["instance_id"]
+                share = float((ids == 0).mean())
+                assert share == seen.setdefault(time, share)
+    # glTF: a negative determinant turns the winding over, so the mirrored quad is still seen.
+    assert seen[0] == seen[1] == seen[4] > 0.2 and seen[2] <= 0.05 and seen[3] == 0
+
+
+def test_moving_lights_and_cameras(context: "Context") -> None:
+    """A lamp that a clip carries to the other side of a wall, and a camera that turns away."""
+    floor = ray.piece([[-4, 0, -4], [-4, 0, 4], [4, 0, 4], [4, 0, -4]], [[0, 1, 2], [0, 2, 3]])
+    wall = ray.piece([[0, 0, -4], [0, 9, -4], [0, 9, 4], [0, 0, 4]], [[0, 1, 2], [0, 2, 3]])
+    nodes = (Node("lamp", -1, translation=(-2, 1, 0)), Node("eye", -1, translation=(0, 20, 0)))
+    half = 0.5**0.5
+    down, away = [-half, 0, 0, half], [half, 0, 0, half]
+    clip = Animation("a", (
+        channel(0, "translation", [[-2, 1, 0], [2, 1, 0]]), channel(1, "rotation", [down, down, away], (0, 1, 2)),
+    ))  # fmt: skip
+    scene = ray.scene_of(
+        floor, wall, materials=(Material(double_sided=True),), nodes=nodes, animations=(clip,),
+        lights=(Light("point", position=(-2, 1, 0), intensity=100.0, node=0),),
+        cameras=(Camera("eye", world_matrices(nodes)[1], node=1),),
+    )  # fmt: skip
+    with Renderer(context=context) as renderer:
+        bright = []
+        for time in (0.0, 1.0, 2.0):
+            frame = renderer.render(scene, size=(40, 40), settings=Settings(aa=1, time=time))
+            bright.append(frame["radiance"].sum(-1))
+    left, right = (bright[0][10:30, s].mean() for s in (slice(10, 19), slice(21, 30)))
+    assert left > 0 and right == 0
+    np.testing.assert_allclose(bright[1][10:30, 21:30], bright[0][10:30, 18:9:-1], rtol=1e-3, atol=1e-5)
+    assert not bright[2].any()
