@@ -167,17 +167,20 @@ class _Builder:
         """Appends primitive k of a mesh, moved by to_mesh; returns its rows of triangles."""
         piece = mesh.primitives[k]
         assert isinstance(piece, Triangles)
-        position, normal, tangent = piece.position, piece.normal, piece.tangent
+        position, normal, tangent = piece.position, _unit(piece.normal), piece.tangent
+        if tangent is not None:
+            tangent = np.concatenate([_unit(tangent[:, :3]), np.sign(_sane(tangent[:, 3:]))], axis=1)
         index = piece.index
         if to_mesh is not None:
             linear = to_mesh[:3, :3]
             with np.errstate(invalid="ignore", over="ignore"):  # vertices that are not finite are dropped below
                 position = (position.astype(np.float64) @ linear.T + to_mesh[:3, 3]).astype(np.float32)
-            linear = linear / np.abs(linear).max()  # directions are made unit again: no scale may under- or overflow
-            normal = _unit(normal) @ np.linalg.inv(linear).astype(np.float32)
+            # Not made unit again: interpolated, they must turn as those of an instance, which is moved as a whole.
+            linear = linear / np.cbrt(np.abs(np.linalg.det(linear)))
+            normal = normal @ np.linalg.inv(linear).astype(np.float32)
             mirrored = np.linalg.det(linear) < 0
             if tangent is not None:
-                direction = _unit(tangent[:, :3]) @ linear.T.astype(np.float32)
+                direction = tangent[:, :3] @ linear.T.astype(np.float32)
                 tangent = np.concatenate(
                     [direction, tangent[:, 3:] * (-1 if mirrored else 1)], axis=1, dtype=np.float32
                 )
@@ -193,11 +196,9 @@ class _Builder:
             position = np.where(finite, position, 0)
         count = len(position)
         uv0 = _sane(piece.uv0) if piece.uv0 is not None else np.zeros((count, 2), np.float32)
-        self.vertices.append(np.column_stack([position, uv0[:, :1], _unit(normal), uv0[:, 1:]]).astype(np.float32))
+        self.vertices.append(np.column_stack([position, uv0[:, :1], normal, uv0[:, 1:]]).astype(np.float32))
         if self.with_tangents:
-            if tangent is None:
-                tangent = np.zeros((count, 4), np.float32)
-            self.tangents.append(np.concatenate([_unit(tangent[:, :3]), np.sign(_sane(tangent[:, 3:]))], axis=1))
+            self.tangents.append(tangent if tangent is not None else np.zeros((count, 4), np.float32))
         if self.with_attributes:
             self.attributes.append(_pack_attributes(piece, count))
         rows = np.empty((len(index), 4), np.uint32)

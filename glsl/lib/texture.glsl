@@ -16,18 +16,23 @@ vec3 srgb_to_linear(vec3 c) {
     return mix(pow((c + 0.055) / 1.055, vec3(2.4)), c / 12.92, lessThanEqual(c, vec3(0.04045)));
 }
 
+// Texels of a coordinate that wrap_uv has brought near: at most one past either end.
 int wrap(int i, int n, uint mode) {
     if (mode == WRAP_CLAMP) return clamp(i, 0, n - 1);
     int period = mode == WRAP_MIRROR ? 2 * n : n;
-    i -= int(floor(float(i) / float(period))) * period;
-    i = i < 0 ? i + period : (i >= period ? i - period : i);               // the float quotient may be off by one
+    i = i < 0 ? i + period : (i >= period ? i - period : i);
     return i < n ? i : 2 * n - 1 - i;
+}
+
+// To the first period, where float32 has the most bits for the fraction.
+float wrap_uv(float x, uint mode) {
+    if (mode == WRAP_CLAMP) return clamp(x, -1.0, 2.0);
+    return mode == WRAP_MIRROR ? x - 2.0 * floor(0.5 * x) : x - floor(x);
 }
 
 vec2 texture_uv(Texture tex, vec2 uv0, vec2 uv1) {
     vec3 uv = vec3((tex.sampling & 32u) != 0u ? uv1 : uv0, 1.0);
-    vec2 out_uv = vec2(dot(tex.u_row, uv), dot(tex.v_row, uv));
-    return out_uv - floor(out_uv / 1024.0) * 1024.0;                       // far repeats keep their fraction's bits
+    return vec2(wrap_uv(dot(tex.u_row, uv), tex.sampling & 3u), wrap_uv(dot(tex.v_row, uv), (tex.sampling >> 2u) & 3u));
 }
 
 // log2_area: log2 of the footprint's area over the area of the unit uv square; FINEST_LEVEL for level 0.

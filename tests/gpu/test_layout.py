@@ -18,7 +18,7 @@ ELEMENTS = 3  # elements 1 and 2 show the stride
 
 def run(context: "Context", text: str, size: int, **buffers: Any) -> np.ndarray:
     """Dispatches one invocation of a shader; buffers by block name; returns `size` uint32 of its block Out."""
-    program = context.gl.compute_shader("#version 430 core\n" + layout.glsl_header() + text)
+    program: Any = context.gl.compute_shader("#version 430 core\n" + layout.glsl_header() + text)
     made = {name: context.gl.buffer(np.ascontiguousarray(data)) for name, data in buffers.items()}
     made["Out"] = context.gl.buffer(reserve=4 * size)
     try:
@@ -129,7 +129,7 @@ def test_images_hold_what_shaders_store(context: "Context", name: str) -> None:
         "f2": np.float16(np.arange(60) / 8 - 2),
         "f1": (np.arange(60) * 4 % 251).astype(np.uint8),
     }[channel.dtype].reshape(3, 5, 4)[..., : channel.components]
-    numbers = values / 255 if channel.dtype == "f1" else values.astype(np.float64)
+    numbers: Any = values / 255 if channel.dtype == "f1" else values.astype(np.float64)
     padded = np.zeros((3, 5, 4), np.uint32 if prefix else np.float32)
     padded[..., : channel.components] = numbers
     text = f"""#version 430 core
