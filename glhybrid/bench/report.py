@@ -115,6 +115,9 @@ def sm_clock_mhz(cuda: int | None) -> list[int] | None:
         return None
 
 
+_RATIO = {True: "its CPU seconds", False: "its own clock, ours that of the whole GPU"}  # by device.software
+
+
 def show(report: Report) -> None:
     """Tables on stdout."""
     _show_rays(report.rows)
@@ -143,6 +146,11 @@ def show(report: Report) -> None:
     m = report.machine
     print(f"{m['device']['renderer']}, {m['cores']} cores; rays of {m['size'][0]}x{m['size'][1]} pixels")
     print(f"rates: million live rays a second by {m['clock']}, median of {m['repeats']}, +- half the quartile distance")
+    if any(row.peer for row in report.rows):
+        print(
+            "embree and mitsuba: a CPU second of one core; ratios: ours to Embree, each by "
+            + _RATIO[m["device"]["software"]]
+        )
     for note in report.notes:
         print(note)
 
