@@ -19,7 +19,7 @@ from glhybrid.settings import Settings
 from glhybrid.view import View
 
 WIDE_CONE = np.radians(60)  # half angle of a spot light from which six faces serve better than one stretched map
-NEAR = 1e-4  # of the distance to the end of the scene: reversed float depth loses nothing there (layout.py)
+NEAR = 1e-4  # of the distance to the end of what is solid: reversed float depth loses nothing there (layout.py)
 
 
 @dataclass(frozen=True)
@@ -84,15 +84,17 @@ def rows(boxes: F64, lights: tuple[Light, ...], view: View, fit: Fit, across: in
 
     A light may have fewer maps than map_counts says: a slice of the view that is no smaller than the scene needs none.
     """
-    corners = _corners(boxes) - view.origin
+    boxes = boxes[np.isfinite(boxes).all((1, 2))] - view.origin
+    if not len(boxes):
+        boxes = np.zeros((1, 2, 3))
     lights_out = np.zeros(max(len(lights), 1), layout.dtype("ShadowLight"))
     made: list[dict[str, Any]] = []
     first = 0
     for light, row, most in zip(lights, lights_out, map_counts(lights, fit), strict=False):
         if light.kind == "directional":
-            maps = _directional(light, corners, view, fit)
+            maps = _directional(light, boxes, view, fit)
         else:
-            maps = _perspective(light, corners, view.origin, fit)
+            maps = _perspective(light, boxes, view.origin, fit)
         for k, item in enumerate(maps):
             tile = first + k
             item["corner"] = (tile % across * fit.resolution, tile // across * fit.resolution)
@@ -108,10 +110,37 @@ def rows(boxes: F64, lights: tuple[Light, ...], view: View, fit: Fit, across: in
 
 
 def _corners(boxes: F64) -> F64:
-    """(8 N, 3) float64: corners of the boxes that are finite."""
-    boxes = boxes[np.isfinite(boxes).all((1, 2))]
+    """(..., 8, 3) corners of (..., 2, 3) boxes."""
     pick = np.array([(i >> 2 & 1, i >> 1 & 1, i & 1) for i in range(8)])
-    return boxes[:, pick, np.arange(3)].reshape(-1, 3) if len(boxes) else np.zeros((1, 3))
+    return boxes[..., pick, np.arange(3)]
+
+
+def _flat(boxes: F64) -> Any:
+    """(N,) bool: boxes without thickness. What is in one cannot shadow itself."""
+    size = boxes[:, 1] - boxes[:, 0]
+    return size.min(1) <= 1e-6 * size.max(1)
+
+
+def _shadowed(boxes: F64, plane: F64) -> F64:
+    """(2, 2) low and high, in the plane (3, 2) across parallel rays, of where one thing can hide another.
+
+    A ground that reaches to the horizon needs texels only where something stands on it: flat boxes count no further
+    than solid ones, or each other, reach over them. Outside the map everything is lit.
+    """
+    across = _corners(boxes) @ plane
+    rects = np.stack([across.min(1), across.max(1)], 1)
+    flat = _flat(boxes)
+    parts = rects[~flat]
+    sheets = rects[flat]
+    if len(sheets) > 2000:  # pairs of them are too many to look at
+        parts, sheets = rects, sheets[:0]
+    for k in range(1, len(sheets)):
+        low, high = np.maximum(sheets[k, 0], sheets[:k, 0]), np.minimum(sheets[k, 1], sheets[:k, 1])
+        over = (low < high).all(1)
+        parts = np.concatenate([parts, np.stack([low[over], high[over]], 1)])
+    if not len(parts):
+        parts = rects
+    return np.stack([parts[:, 0].min(0), parts[:, 1].max(0)])
 
 
 def _frame(axis: F64) -> tuple[F64, F64]:
@@ -122,19 +151,18 @@ def _frame(axis: F64) -> tuple[F64, F64]:
     return right, np.cross(right, axis)
 
 
-def _directional(light: Light, corners: F64, view: View, fit: Fit) -> list[dict[str, Any]]:
+def _directional(light: Light, boxes: F64, view: View, fit: Fit) -> list[dict[str, Any]]:
     axis = np.asarray(light.direction, np.float64)
     axis = axis / np.linalg.norm(axis)
     right, up = _frame(axis)
-    depth = corners @ axis
+    depth = _corners(boxes) @ axis
     reach = max(float(np.ptp(depth)), 1e-6)
     shared = {
         "origin": (0, 0, 0), "right": right, "up": up, "axis": axis, "near": 0.0,
         "start": depth.min() - 0.01 * reach, "range": 1.02 * reach,
     }  # fmt: skip
     inner = fit.resolution - 2 * fit.margin  # texels that the fitted part may cover; one more to snap
-    plane = corners @ np.stack([right, up], 1)
-    low, high = plane.min(0), plane.max(0)
+    low, high = _shadowed(boxes, np.stack([right, up], 1))
     size = np.maximum(high - low, 1e-3 * max(float((high - low).max()), 1e-6))
     texel = size / (inner - 1)
     whole = shared | {"texel": texel, "first_texel": (low + high) / 2 / texel - fit.resolution / 2}
@@ -143,7 +171,7 @@ def _directional(light: Light, corners: F64, view: View, fit: Fit) -> list[dict[
     maps = []
     # Whole numbers of texels are counted from the world's origin, not from the camera's grid point.
     base = view.origin @ np.stack([right, up], 1)
-    for centre, radius in _slices(view, corners, fit):
+    for centre, radius in _slices(view, boxes, fit):
         side = 2 * radius / (inner - 1)
         if side >= texel.max():  # the scene's own map is as fine
             break
@@ -157,12 +185,12 @@ def _directional(light: Light, corners: F64, view: View, fit: Fit) -> list[dict[
     return [*maps, whole]
 
 
-def _slices(view: View, corners: F64, fit: Fit) -> list[tuple[F64, float]]:
+def _slices(view: View, boxes: F64, fit: Fit) -> list[tuple[F64, float]]:
     """(centre, radius) of spheres about all but the last of `cascades` slices of the view, nearest first.
 
     Distances and radii are rounded up to steps, so that they do not follow every move of the camera.
     """
-    along = (corners - view.eye) @ view.forward
+    along = (_solid_corners(boxes) - view.eye) @ view.forward
     far = float(along.max())
     if fit.distance > 0:
         far = min(far, fit.distance)
@@ -194,9 +222,15 @@ def _step_up(value: float, steps: int) -> float:
     return float(np.ceil(value / unit - 1e-6) * unit)
 
 
-def _perspective(light: Light, corners: F64, origin: F64, fit: Fit) -> list[dict[str, Any]]:
+def _solid_corners(boxes: F64) -> F64:
+    """(N, 3) corners of the boxes that are not flat; of all if all are."""
+    solid = boxes[~_flat(boxes)]
+    return _corners(solid if len(solid) else boxes).reshape(-1, 3)
+
+
+def _perspective(light: Light, boxes: F64, origin: F64, fit: Fit) -> list[dict[str, Any]]:
     position = np.asarray(light.position, np.float64) - origin
-    reach = max(float(np.linalg.norm(corners - position, axis=1).max()), 1e-6)
+    reach = max(float(np.linalg.norm(_solid_corners(boxes) - position, axis=1).max()), 1e-6)
     if cube(light):
         axes, half = [sign * np.eye(3)[k] for k in range(3) for sign in (1.0, -1.0)], 1.0
     else:

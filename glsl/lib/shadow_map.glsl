@@ -65,9 +65,10 @@ float plane_depth(ShadowMap map, Receiver r, vec2 at) {
     return from_point(map) ? r.depth / max(1.0 + step, 0.05) : r.depth - step;
 }
 
-// Depth of the nearest caster in a texel, m; INFINITY: none.
+// Depth of the nearest caster in a texel, m; INFINITY: none, as outside the map, where nothing can hide anything.
 float caster_depth(ShadowMap map, ivec2 texel) {
-    float z = texelFetch(shadow_atlas, map.corner + clamp(texel, ivec2(0), ivec2(map.size) - 1), 0).r;
+    if (any(lessThan(texel, ivec2(0))) || any(greaterThanEqual(texel, ivec2(map.size)))) return INFINITY;
+    float z = texelFetch(shadow_atlas, map.corner + texel, 0).r;
     if (z <= 0.0) return INFINITY;
     return from_point(map) ? map.near / z : (1.0 - z) * map.range;
 }

@@ -81,6 +81,19 @@ def test_a_small_scene_needs_no_slices() -> None:
     assert len(maps) == 1
 
 
+def test_a_wide_ground_takes_no_texels_where_nothing_stands_on_it() -> None:
+    ground = np.array([[[-2000, 0, -2000], [2000, 0, 2000]]], np.float64)
+    chosen, view = fit(cascades=1), view_of((6, 3, 8))
+    texel = {
+        name: shadow_fit.rows(boxes, (SUN,), view, chosen, 1)[0][0]["texel"].max()
+        for name, boxes in (
+            ("box", BOXES[1:2]), ("ground", np.concatenate([BOXES[1:2], ground])),
+            ("sheets", np.concatenate([ground, [[[-3, 4, -3], [-1, 4, -1]]]])), ("alone", ground),
+        )
+    }  # fmt: skip
+    assert texel["ground"] == texel["box"] and texel["sheets"] < texel["box"] and texel["alone"] > 1
+
+
 @pytest.mark.parametrize("cone", [0.3, 1.2])
 def test_maps_of_spot_lights_cover_their_cone(cone: float) -> None:
     spot = Light("spot", position=(1, 5, 2), direction=(0.6, -0.8, 0.0), outer_cone=cone)
