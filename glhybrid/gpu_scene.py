@@ -31,6 +31,10 @@ class MovedTree(NamedTuple):
     bounds: F64
 
 
+# One node whose two children are leaves of nothing: where a ray through a scene without triangles ends at once.
+EMPTY_TREE = np.array([[0, 0, 0, 0x80000000, 0, 0, 0, 0x80000000]], np.uint32)
+
+
 class GpuScene:
     """Owns the GL objects of one scene. motion: what will move; trees that it deforms have room to be built anew."""
 
@@ -70,7 +74,7 @@ class GpuScene:
             nodes = np.concatenate([nodes.reshape(-1, 8), self._top_nodes()])
         self._roots = roots
         self.stack_entries = self.stack_needed(SPARE_LEVELS if motion is not None else 0)
-        self._texels("nodes", nodes)
+        self._texels("nodes", nodes if len(nodes) else EMPTY_TREE)
         self._texels("slots", slots)
         self._texels("vertices", geometry.vertices)
         self._texels("triangles", geometry.triangles)

@@ -166,7 +166,7 @@ class Staged:
         elif features.visibility:
             self.shadow = Shadow(shaders, upload, features)
         self.reflect = Reflect(shaders, upload, features) if features.reflections else None
-        reference = settings.reflections == "reference"
+        reference = settings.reflections == "reference" and not empty  # without a tree there is only the background
         self.reference = Reference(context, shaders, upload, features) if reference else None
         self.composite = Composite(shaders, upload, features) if not reference else None
         self.display = Display(context, shaders, self.frame_buffer)

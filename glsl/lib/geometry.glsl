@@ -54,13 +54,23 @@ float spawn_offset(vec3 object_err, vec3 position_os, vec3 position_ws, vec3 n_o
     return dot(world_err, abs(n_ws)) + n_scale * dot(object_err, abs(n_os));
 }
 
+// These two sum in a fixed order, without fma: a point that has not moved is the same float wherever it is rebuilt.
+vec3 interpolate(vec3 v0, vec3 e1, vec3 e2, vec2 bary) {
+    precise vec3 p = v0 + (bary.x * e1 + bary.y * e2);                           // the base vertex last: least error
+    return p;
+}
+
+vec3 transform_point(mat4x3 m, vec3 p) {
+    precise vec3 q = m[3] + (m[0] * p.x + m[1] * p.y + m[2] * p.z);              // the translation last
+    return q;
+}
+
 Point triangle_point(uvec4 tri, vec2 bary, Instance inst) {
     vec3 v0 = vertex_position(tri.x);
     vec3 e1 = vertex_position(tri.y) - v0;
     vec3 e2 = vertex_position(tri.z) - v0;
-    precise vec3 p_os = v0 + (bary.x * e1 + bary.y * e2);                        // the base vertex last: least error
-    precise vec3 p_ws = inst.world_from_object[3] + mat3(inst.world_from_object[0], inst.world_from_object[1],
-                                                         inst.world_from_object[2]) * p_os;
+    vec3 p_os = interpolate(v0, e1, e2, bary);
+    vec3 p_ws = transform_point(inst.world_from_object, p_os);
     // Scaled by the longest edge first: the cross product of tiny edges would underflow, of huge ones overflow.
     float extent = max3(abs(e1) + abs(e2) + abs(abs(e1) - abs(e2)));
     vec3 n_os = normalize(cross(e1 / extent, e2 / extent));

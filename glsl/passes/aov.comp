@@ -41,14 +41,13 @@ vec3 previous_position(Pixel p, Surface s) {
     uvec4 tri = texelFetch(triangles, int(p.hit.triangle));
     vec3 v0 = previous_vertex(tri.x);
     vec3 e1 = previous_vertex(tri.y) - v0, e2 = previous_vertex(tri.z) - v0;
-    precise vec3 p_os = v0 + (p.hit.bary.x * e1 + p.hit.bary.y * e2);
+    vec3 p_os = interpolate(v0, e1, e2, p.hit.bary);
     if (SPHERES && hit_group_of(p.hit.instance, tri.w).kind == KIND_SPHERE) {
         Instance inst = instances[p.hit.instance];
         p_os = mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]) * s.point.position
              + inst.object_from_world[3];
     }
-    precise vec3 p_ws = m[3] + mat3(m[0], m[1], m[2]) * p_os;
-    return p_ws;
+    return transform_point(m, p_os);
 }
 #else
 vec3 previous_position(Pixel p, Surface s) { return s.point.position; }
@@ -79,7 +78,8 @@ uvec4 value_of(Pixel p) {
     // AOV_MOTION: to where the point was a frame ago, pixels, y down.
     precise vec4 now = frame.clip_from_world * vec4(s.point.position, 1.0);
     precise vec4 before = frame.previous_clip_from_world * vec4(previous_position(p, s), 1.0);
-    vec2 moved = (before.xy / before.w - now.xy / now.w) * 0.5 * vec2(frame.size_px);
+    precise vec2 at = now.xy / now.w, was = before.xy / before.w;          // no fma across: what stands still is 0
+    vec2 moved = (was - at) * 0.5 * vec2(frame.size_px);
     return bits(vec3(moved.x, -moved.y, 0.0));
 #endif
 }

@@ -31,7 +31,8 @@ def seen(
     """The sky alone, looking along `toward`: (size, size, 3)."""
     up = (0.0, 1.0, 0.0) if abs(toward[1]) < 0.9 else (0.0, 0.0, -1.0)
     camera = Camera.look_at((0, 0, 0), toward, up, fov_y=fov)
-    world = scene([(floor(0.01, -1000.0), matte())], camera=camera, environment=sky)
+    # Something must be drawn: a speck that no pixel's ray meets.
+    world = scene([(floor(0.01, -1000.0, center=(300.0, 400.0)), matte())], camera=camera, environment=sky)
     return renderer.render(world, size=(size, size), settings=Settings(aa=1))["radiance"].astype(np.float64)
 
 
