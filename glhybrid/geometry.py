@@ -372,8 +372,7 @@ def solid(position: F32, index: U32) -> np.ndarray:
     corner = position[index].astype(np.float64)
     with np.errstate(invalid="ignore", over="ignore"):
         normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    fine: np.ndarray = np.isfinite(corner).all((1, 2)) & (np.abs(normal) > SMALLEST_AREA).any(1)
-    return fine
+    return np.asarray(np.isfinite(corner).all((1, 2)) & (np.abs(normal) > SMALLEST_AREA).any(1))
 
 
 def _own_materials(mesh: Mesh) -> tuple[int, ...]:

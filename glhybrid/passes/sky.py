@@ -37,7 +37,8 @@ class Sky:
         diffuse = self._atlas(context, layout.IRRADIANCE_SIZE + 2, layout.IRRADIANCE_SIZE + 2)
         self.resources["environment_rough"], self.resources["environment_diffuse"] = rough, diffuse
         program = shaders.compute("prefilter", features)
-        name = sky_cache.key(radiance.tobytes(), shaders.text("prefilter"), bytes([sky_tree.VERSION]), str(context.device).encode())
+        made_by = shaders.text("prefilter"), bytes([sky_tree.VERSION]), str(context.device).encode()
+        name = sky_cache.key(radiance.tobytes(), *made_by)
         bytes_rough, bytes_diffuse = 8 * rough.width * rough.height, 8 * diffuse.width * diffuse.height
         if kept := sky_cache.read(name, bytes_rough + bytes_diffuse):
             rough.write(kept[:bytes_rough])
