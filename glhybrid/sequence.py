@@ -87,9 +87,7 @@ def make(
     if turntable < 0:
         raise SettingError(f"--turntable {turntable}: expected how many frames a full turn takes, 1 or more")
     if settings.time is not None:
-        raise SettingError(
-            f"--time {settings.time:g} and --frames: a frame's time is its number / fps; give one"
-        )
+        raise SettingError(f"--time {settings.time:g} and --frames: a frame's time is its number / fps; give one")
     clip = posing.find_clip(scene, settings.clip)
     if clip is None and not turntable:
         raise SettingError(
