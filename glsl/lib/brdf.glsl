@@ -19,9 +19,6 @@ struct Bsdf {
 
 bool is_mirror(Bsdf b) { return b.roughness < MIRROR_ROUGHNESS; }
 
-float pow5(float x) { float x2 = x * x; return x2 * x2 * x; }
-vec3 fresnel_schlick(vec3 f0, float f90, float cos_theta) { return f0 + (vec3(f90) - f0) * pow5(clamp(1.0 - cos_theta, 0.0, 1.0)); }
-
 // n x h instead of 1 - NoH^2: no cancellation at the peak of a sharp lobe.
 float ggx_d(vec3 n, vec3 h, float alpha) {
     vec3 nxh = cross(n, h);
@@ -50,6 +47,13 @@ float specular_f90(Bsdf b) { return mix(b.f90_dielectric, 1.0, b.metallic); }
 // Share of the light that the clearcoat reflects: the weight of its lobe, and what it takes from all below, emission
 // included. By N.V, not V.H, so that the two add up to one (KHR_materials_clearcoat, "Layering").
 float coat_fresnel(Bsdf b, vec3 v) { return b.clearcoat * (0.04 + 0.96 * pow5(clamp(1.0 - abs(dot(b.n_coat, v)), 0.0, 1.0))); }
+
+// What passes straight through a thin surface: what neither coat nor interface reflects (KHR_materials_transmission). The
+// roughness does not blur it.
+vec3 transmitted(Bsdf b, vec3 v) {
+    float reflected = max3(fresnel_schlick(b.f0_dielectric, b.f90_dielectric, abs(dot(b.n, v))));
+    return b.base_color * (b.transmission * (1.0 - reflected) * (CLEARCOAT ? 1.0 - coat_fresnel(b, v) : 1.0));
+}
 
 // BSDF times NoL for light from l (above the surface), v towards the viewer; unit vectors. Mirrors have no lobe here.
 vec3 bsdf_eval(Bsdf b, vec3 v, vec3 l) {

@@ -112,7 +112,7 @@ bool intersect_triangle(LocalRay r, vec3 v0, vec3 v1, vec3 v2, float t_min, floa
 
 // The any-hit function: what is at this point of the surface for this kind of ray?  1 = nothing, 0 = a full blocker or a
 // surface to stop at, between = a tint on the way (SEE_BLOCKERS only).
-vec3 transmittance_at(HitGroup group, Hit hit, bool front, uint see) {
+vec3 transmittance_at(HitGroup group, Hit hit, Ray ray, bool front, uint see) {
     if (see != SEE_BLOCKERS) {
         bool blended = group.any_hit == ANY_HIT_TINT;
         if (SINGLE_SIDED && group.single_sided == 1u && !front) return vec3(1.0);
@@ -124,7 +124,13 @@ vec3 transmittance_at(HitGroup group, Hit hit, bool front, uint see) {
         Material m = materials[group.material];
         vec4 color = base_color_at(m, hit);
         if (group.any_hit == ANY_HIT_MASK) result = vec3(color.a < m.alpha_cutoff ? 1.0 : 0.0);
-        else result = tint_at(m, color, hit);
+        else {
+            Instance inst = instances[hit.instance];
+            uvec4 tri = texelFetch(triangles, int(hit.triangle));
+            bool sphere = SPHERES && group.kind == KIND_SPHERE;
+            Point p = sphere ? sphere_point(tri, ray, hit.t, inst) : triangle_point(tri, hit.bary, inst);
+            result = tint_at(m, color, hit, abs(dot(p.n_geo, normalize(ray.dir))));
+        }
     }
     return result;
 }
@@ -220,7 +226,7 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
         if (!pending) return;
         pending = false;
         HitGroup group = hit_group_of(candidate.instance, candidate.geometry);
-        vec3 through = transmittance_at(group, candidate, front, see);
+        vec3 through = transmittance_at(group, candidate, ray, front, see);
         tint *= through;
         if (max3(closest ? through : tint) <= 0.0) {
             hit = candidate;

@@ -124,7 +124,7 @@ vec3 shade_hit(Hit hit, Ray ray, float footprint) {
 }
 
 // How much of a blended surface is seen, and what is behind it is multiplied by.
-vec3 layer_transmittance(Surface s) { return 1.0 - s.alpha * (1.0 - s.bsdf.transmission * s.bsdf.base_color); }
+vec3 layer_transmittance(Surface s, vec3 v) { return 1.0 - s.alpha * (1.0 - transmitted(s.bsdf, v)); }
 
 const int MAX_LAYERS = 8;    // of blended surfaces along one ray; those behind are not drawn
 
@@ -142,7 +142,7 @@ vec3 trace_radiance(Ray ray, float width_0, float spread, out Hit hit) {
         if (layer.triangle == ID_NONE) break;
         Surface s = surface_at(layer, ray, width_0 + spread * layer.t);
         layers += through * s.alpha * shade_hit(layer, ray, width_0 + spread * layer.t);
-        through *= layer_transmittance(s);
+        through *= layer_transmittance(s, -ray.dir);
         rest.t_min = uintBitsToFloat(floatBitsToUint(layer.t) + 1u);
     }
     radiance = layers + through * radiance;

@@ -103,8 +103,9 @@ float coverage(Material m, float alpha) {
     return m.alpha_mode == ALPHA_BLEND ? alpha : (m.alpha_mode == ALPHA_MASK && alpha < m.alpha_cutoff ? 0.0 : 1.0);
 }
 
-// What a blended or transmissive surface lets through, straight on (thin).
-vec3 tint_at(Material m, vec4 color, Hit hit) {
+// What a blended or transmissive surface lets through of light that meets it at this angle: `transmitted` of lib/brdf.glsl
+// without normal maps and textures of the interface, which shadows can do without.
+vec3 tint_at(Material m, vec4 color, Hit hit, float cos_theta) {
     float transmission = m.transmission, metallic = m.metallic;
 #if USE_TEXTURES
     WHEN (HAS_SLOT(SLOT_TRANSMISSION) && m.texture[SLOT_TRANSMISSION] >= 0) {
@@ -116,5 +117,8 @@ vec3 tint_at(Material m, vec4 color, Hit hit) {
         metallic *= sample_texture(m.texture[SLOT_METALLIC_ROUGHNESS], a.uv0, a.uv1, FINEST_LEVEL, false).b;
     }
 #endif
-    return mix(vec3(1.0), color.rgb * transmission * (1.0 - metallic), coverage(m, color.a));
+    vec3 f0 = min(m.dielectric_f0 * m.specular_color, vec3(1.0)) * m.specular;
+    float passes = transmission * (1.0 - metallic) * (1.0 - max3(fresnel_schlick(f0, m.specular, cos_theta)));
+    passes *= 1.0 - m.clearcoat * (0.04 + 0.96 * pow5(1.0 - cos_theta));
+    return mix(vec3(1.0), color.rgb * passes, coverage(m, color.a));
 }

@@ -63,7 +63,7 @@ vec3 layers_over(Pixel p, vec3 behind) {
 #endif
         }
         layers += through * s.alpha * color;
-        through *= layer_transmittance(s);
+        through *= layer_transmittance(s, v);
         rest.t_min = uintBitsToFloat(floatBitsToUint(hit.t) + 1u);
     }
     return layers + through * behind;

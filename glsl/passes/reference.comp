@@ -141,8 +141,9 @@ Hit next_hit(Ray ray, inout vec3 throughput, out bool passed_through) {
         Surface s = surface_at(layer, ray, 0.0);
         rest.t_min = uintBitsToFloat(floatBitsToUint(layer.t) + 1u);
         if (random_float() >= s.alpha) continue;
-        float through = min(s.bsdf.transmission * max3(s.bsdf.base_color), 0.95);
-        if (random_float() < through) { throughput *= s.bsdf.transmission * s.bsdf.base_color / through; continue; }
+        vec3 passes = transmitted(s.bsdf, -ray.dir);
+        float through = min(max3(passes), 0.95);
+        if (random_float() < through) { throughput *= passes / through; continue; }
         throughput /= 1.0 - through;
         hit = layer;
         break;
