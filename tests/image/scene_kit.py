@@ -91,11 +91,11 @@ def scene(parts: Sequence[Part], camera: Camera | None = None, **extra: Any) -> 
     )  # fmt: skip
 
 
-def matte(color: ArrayLike = (0.8, 0.8, 0.8), **extra: Any) -> Material:
+def matte(color: ArrayLike = (0.8, 0.8, 0.8), alpha: float = 1.0, **extra: Any) -> Material:
     """Lambert alone: no specular lobe (KHR_materials_specular 0), so that an oracle's `diffuse` is the same thing."""
     r, g, b = np.broadcast_to(np.asarray(color, float), 3)
     extra.setdefault("specular", 0.0)
-    return Material("matte", (r, g, b, 1.0), roughness=1.0, **{"double_sided": True} | extra)
+    return Material("matte", (r, g, b, alpha), roughness=1.0, **{"double_sided": True} | extra)
 
 
 def metal(color: ArrayLike = (1.0, 1.0, 1.0), roughness: float = 0.0, **extra: Any) -> Material:
@@ -103,9 +103,9 @@ def metal(color: ArrayLike = (1.0, 1.0, 1.0), roughness: float = 0.0, **extra: A
     return Material("metal", (r, g, b, 1.0), metallic=1.0, roughness=roughness, **{"double_sided": True} | extra)
 
 
-def plastic(color: ArrayLike = (0.6, 0.2, 0.1), roughness: float = 0.4, **extra: Any) -> Material:
+def plastic(color: ArrayLike = (0.6, 0.2, 0.1), roughness: float = 0.4, alpha: float = 1.0, **extra: Any) -> Material:
     r, g, b = np.broadcast_to(np.asarray(color, float), 3)
-    return Material("plastic", (r, g, b, 1.0), roughness=roughness, **{"double_sided": True} | extra)
+    return Material("plastic", (r, g, b, alpha), roughness=roughness, **{"double_sided": True} | extra)
 
 
 def sun(direction: ArrayLike = (-0.4, -1.0, -0.3), lux: float = 3.0, color: Any = (1.0, 1.0, 1.0)) -> Light:
