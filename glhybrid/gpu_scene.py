@@ -31,6 +31,8 @@ class MovedTree(NamedTuple):
     bounds: F64
 
 
+REF_RETURN = 0xFFFFFFFE  # as in lib/bvh.glsl: back to the world's ray; nothing to do for one that is there already
+
 # One node whose two children are leaves of nothing: where a ray through a scene without triangles ends at once.
 EMPTY_TREE = np.array([[0, 0, 0, 0x80000000, 0, 0, 0, 0x80000000]], np.uint32)
 
@@ -315,6 +317,7 @@ class GpuScene:
         assert self._tlas is not None
         nodes = self._tlas.nodes.reshape(-1, 8).copy()
         refs = nodes[:, 3::4]
+        refs[refs == LEAF] = REF_RETURN  # the empty child of a single instance, which must not be entered twice
         refs[refs < LEAF] += np.uint32(self.top_root)
         return nodes
 
