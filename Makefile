@@ -1,5 +1,6 @@
 # make demo    sets up, renders the built-in scene `atrium` and says where the picture is
 # make test    sets up, then lint, types and tests
+# make sheet   draws every model under MODELS (../shared/models) in one picture, out/sheet.png
 # make setup   leaves a ready .venv in the checkout; quick when that is done already
 #
 # PYTHON=python3.12 chooses the interpreter (>= 3.11).
@@ -8,7 +9,9 @@ BIN := .venv/bin
 SETUP := .ci/setup.sh
 DEMO := out/atrium.png
 
-.PHONY: help setup setup-dev demo test clean
+MODELS ?= ../shared/models
+
+.PHONY: help setup setup-dev demo test sheet clean
 
 help:
 	@sed -n 's/^# \(make .*\)/\1/p' Makefile
@@ -29,6 +32,10 @@ test: setup-dev
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	GLHYBRID_REQUIRE_GL=1 $(BIN)/python -m pytest
+
+sheet: setup
+	@mkdir -p out
+	$(BIN)/python tests/contact_sheet.py $(MODELS) -o out/sheet.png
 
 clean:
 	rm -rf out build dist .pytest_cache .ruff_cache .mypy_cache
