@@ -122,12 +122,13 @@ vec3 transmittance_at(HitGroup group, Hit hit, Ray ray, bool front, uint see) {
     vec3 result = vec3(0.0);
     WHEN (group.any_hit == ANY_HIT_MASK || (see == SEE_BLOCKERS && group.any_hit == ANY_HIT_TINT)) {
         Material m = materials[group.material];
+        Instance inst = instances[hit.instance];
+        uvec4 tri = texelFetch(triangles, int(hit.triangle));
+        bool sphere = SPHERES && group.kind == KIND_SPHERE;
+        if (sphere) hit.bary = sphere_point(tri, ray, hit.t, inst).uv;
         vec4 color = base_color_at(m, hit);
         if (group.any_hit == ANY_HIT_MASK) result = vec3(color.a < m.alpha_cutoff ? 1.0 : 0.0);
         else {
-            Instance inst = instances[hit.instance];
-            uvec4 tri = texelFetch(triangles, int(hit.triangle));
-            bool sphere = SPHERES && group.kind == KIND_SPHERE;
             Point p = sphere ? sphere_point(tri, ray, hit.t, inst) : triangle_point(tri, hit.bary, inst);
             result = tint_at(m, color, hit, abs(dot(p.n_geo, normalize(ray.dir))));
         }
@@ -226,12 +227,22 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
         if (!pending) return;
         pending = false;
         HitGroup group = hit_group_of(candidate.instance, candidate.geometry);
-        vec3 through = transmittance_at(group, candidate, ray, front, see);
-        tint *= through;
-        if (max3(closest ? through : tint) <= 0.0) {
-            hit = candidate;
-            t_max = candidate.t;
-            if (!closest) return;
+        for (bool again = true; again; ) {
+            again = false;
+            vec3 through = transmittance_at(group, candidate, ray, front, see);
+            tint *= through;
+            if (max3(closest ? through : tint) <= 0.0) {
+                hit = candidate;
+                t_max = candidate.t;
+                if (!closest) return;
+            }
+#if USE_SPHERES
+            else if (group.kind == KIND_SPHERE && front) {                       // let through: its far side is next
+                uvec4 tri = texelFetch(triangles, int(candidate.triangle));
+                again = intersect_sphere(local.origin - vertex_position(tri.x), local.dir, sphere_radius(tri), next_after(candidate.t),
+                                         t_max, candidate.t, front);
+            }
+#endif
         }
     }
 }

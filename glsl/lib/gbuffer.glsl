@@ -12,7 +12,8 @@ bool covered(Pixel p) { return p.hit.triangle != ID_NONE; }
 Pixel load_pixel(ivec2 px) {
     Pixel p = Pixel(primary_ray(px), MISS);
     uvec2 id = texelFetch(gbuffer_id, px, 0).xy;
-    WHEN (id.y != ID_NONE) p.hit = hit_known(p.ray, id.x, id.y);
+    bool met, front;
+    WHEN (id.y != ID_NONE) p.hit = hit_uncut(p.ray, id.x, id.y, met, front);
     return p;
 }
 

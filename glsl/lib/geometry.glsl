@@ -20,7 +20,7 @@ layout(std430) readonly buffer Materials { Material materials[]; };
 
 struct Hit {
     float t;         // INFINITY: a miss
-    vec2 bary;       // weights of the second and third vertex; a sphere: unused
+    vec2 bary;       // weights of the second and third vertex; a sphere: its uv, where an alpha test has asked for it
     uint instance;   // row of instances
     uint triangle;   // row of triangles; ID_NONE: a miss
     uint geometry;   // of the triangle, in its mesh
@@ -31,6 +31,8 @@ const Hit MISS = Hit(INFINITY, vec2(0.0), ID_NONE, ID_NONE, 0u);
 Record record_of(uint instance, uint geometry) { return records[instances[instance].first_record + geometry]; }
 HitGroup hit_group_of(uint instance, uint geometry) { return hit_groups[record_of(instance, geometry).hit_group]; }
 
+float sphere_radius(uvec4 tri) { return uintBitsToFloat(texelFetch(vertices, int(tri.x) * 2 + 1).x); }
+float next_after(float t) { return uintBitsToFloat(floatBitsToUint(t) + 1u); }    // of a t that is not negative
 vec3 vertex_position(uint i) { return uintBitsToFloat(texelFetch(vertices, int(i) * 2).xyz); }
 
 // A point on a surface, in world space, and how far off its plane rounding may have put it.
@@ -82,10 +84,12 @@ Point triangle_point(uvec4 tri, vec2 bary, Instance inst) {
     return Point(p_ws, n_ws, spawn_offset(object_err, p_os, p_ws, n_os, n_ws, n_scale, inst), vec2(0.0));
 }
 
+vec2 sphere_uv(vec3 n_os) { return vec2(angle_of(n_os.x, n_os.z) / (2.0 * PI) + 0.5, angle_of(length(n_os.xz), n_os.y) / PI); }
+
 // The point of a sphere under a ray; bary is not used: the point is put back on the sphere along its radius.
 Point sphere_point(uvec4 tri, Ray ray, float t, Instance inst) {
     vec3 centre = vertex_position(tri.x);
-    float radius = uintBitsToFloat(texelFetch(vertices, int(tri.x) * 2 + 1).x);
+    float radius = sphere_radius(tri);
     mat3 object_from_world = mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]);
     vec3 origin_os = object_from_world * ray.origin + inst.object_from_world[3];
     vec3 n_os = normalize(origin_os + t * (object_from_world * ray.dir) - centre);
@@ -98,8 +102,7 @@ Point sphere_point(uvec4 tri, Ray ray, float t, Instance inst) {
     n_ws *= n_scale;
     // The quadratic's rounding grows with the radius, not with an edge: 2^-20 of it.
     vec3 object_err = 5.9604645e-8 * abs(centre) + 9.5367432e-7 * radius;
-    vec2 uv = vec2(angle_of(n_os.x, n_os.z) / (2.0 * PI) + 0.5, angle_of(length(n_os.xz), n_os.y) / PI);
-    return Point(p_ws, n_ws, spawn_offset(object_err, p_os, p_ws, n_os, n_ws, n_scale, inst), uv);
+    return Point(p_ws, n_ws, spawn_offset(object_err, p_os, p_ws, n_os, n_ws, n_scale, inst), sphere_uv(n_os));
 }
 
 // Where a ray leaves: on the side of the surface that `dir` points to.
@@ -116,13 +119,14 @@ vec2 clamp_bary(vec2 b) {
 
 // The intersection function of KIND_SPHERE: the nearer root within [t_min, t_max]; front: the ray comes from outside.
 // f: the ray's origin from the centre. A miss still sets t: to where the ray passes closest, or to the root it may not use.
-// Haines et al., "Precision Improvements for Ray/Sphere Intersection", Ray Tracing Gems (2019), ch. 7.
+// Haines et al., "Precision Improvements for Ray/Sphere Intersection", Ray Tracing Gems (2019), ch. 7. `precise`: a ray
+// that goes on from t must not find that root again, wherever this is inlined.
 bool intersect_sphere(vec3 f, vec3 dir, float radius, float t_min, float t_max, out float t, out bool front) {
-    float a = dot(dir, dir), b = -dot(f, dir);
-    vec3 away = f + (b / a) * dir;
-    float under = radius * radius - dot(away, away);
-    float q = b + (b >= 0.0 ? 1.0 : -1.0) * sqrt(a * max(under, 0.0));
-    float t0 = (dot(f, f) - radius * radius) / q, t1 = q / a;
+    precise float a = dot(dir, dir), b = -dot(f, dir);
+    precise vec3 away = f + (b / a) * dir;
+    precise float under = radius * radius - dot(away, away);
+    precise float q = b + (b >= 0.0 ? 1.0 : -1.0) * sqrt(a * max(under, 0.0));
+    precise float t0 = (dot(f, f) - radius * radius) / q, t1 = q / a;
     float near = min(t0, t1), far = max(t0, t1);
     front = near >= t_min;
     t = under < 0.0 ? b / a : (front ? near : far);
@@ -140,8 +144,8 @@ Hit hit_known(Ray ray, uint instance, uint triangle, out bool met, out bool fron
     Hit hit = Hit(0.0, vec2(0.0), instance, triangle, tri.w);
     met = front = true;
     if (SPHERES && hit_group_of(instance, tri.w).kind == KIND_SPHERE) {
-        float radius = uintBitsToFloat(texelFetch(vertices, int(tri.x) * 2 + 1).x);
-        met = intersect_sphere(o - v0, d, radius, ray.t_min, ray.t_max, hit.t, front);
+        met = intersect_sphere(o - v0, d, sphere_radius(tri), ray.t_min, ray.t_max, hit.t, front);
+        if (ALPHA_TEST) hit.bary = sphere_uv(normalize(o + hit.t * d - v0));
         return hit;
     }
     vec3 e1 = vertex_position(tri.y) - v0, e2 = vertex_position(tri.z) - v0;
@@ -152,9 +156,4 @@ Hit hit_known(Ray ray, uint instance, uint triangle, out bool met, out bool fron
     // t of the clamped point, so that distance and position tell one story.
     hit.t = dot(v0 + hit.bary.x * e1 + hit.bary.y * e2 - o, d) / dot(d, d);
     return hit;
-}
-
-Hit hit_known(Ray ray, uint instance, uint triangle) {
-    bool met, front;
-    return hit_known(ray, instance, triangle, met, front);
 }

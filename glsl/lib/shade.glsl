@@ -143,7 +143,7 @@ vec3 trace_radiance(Ray ray, float width_0, float spread, out Hit hit) {
         Surface s = surface_at(layer, ray, width_0 + spread * layer.t);
         layers += through * s.alpha * shade_hit(layer, ray, width_0 + spread * layer.t);
         through *= layer_transmittance(s, -ray.dir);
-        rest.t_min = uintBitsToFloat(floatBitsToUint(layer.t) + 1u);
+        rest.t_min = next_after(layer.t);
     }
     radiance = layers + through * radiance;
 #endif

@@ -70,6 +70,9 @@ Attributes attributes_at(Hit hit) {
 #if USE_TEXTURES || USE_EXTRA_ATTRIBUTES
     uvec4 tri = texelFetch(triangles, int(hit.triangle));
     vec3 w = vec3(1.0 - hit.bary.x - hit.bary.y, hit.bary);
+#if USE_SPHERES
+    if (tri.x == tri.y) return Attributes(hit.bary, hit.bary, vec4(1.0));      // one row of vertices stands for a sphere
+#endif
     for (int i = 0; i < 3; i++) {
         int v = int(tri[i]);
         a.uv0 += w[i] * vec2(uintBitsToFloat(texelFetch(vertices, v * 2).w), uintBitsToFloat(texelFetch(vertices, v * 2 + 1).w));
@@ -96,6 +99,21 @@ vec4 base_color_at(Material m, Hit hit) {
     WHEN (m.texture[SLOT_BASE_COLOR] >= 0) color *= sample_texture(m.texture[SLOT_BASE_COLOR], a.uv0, a.uv1, FINEST_LEVEL, true);
 #endif
     return color;
+}
+
+// The same as hit_known, but through a hole in a sphere its far side.
+Hit hit_uncut(Ray ray, uint instance, uint triangle, out bool met, out bool front) {
+    Hit hit = hit_known(ray, instance, triangle, met, front);
+#if USE_SPHERES && USE_ALPHA_TEST
+    HitGroup group = hit_group_of(instance, hit.geometry);
+    WHEN (group.kind == KIND_SPHERE && group.any_hit == ANY_HIT_MASK && met && front) {
+        if (base_color_at(materials[group.material], hit).a < materials[group.material].alpha_cutoff) {
+            ray.t_min = next_after(hit.t);
+            hit = hit_known(ray, instance, triangle, met, front);
+        }
+    }
+#endif
+    return hit;
 }
 
 // How much of a surface is there, by the alpha of its base colour.

@@ -17,7 +17,7 @@ void main() {
 #if USE_ALPHA_TEST || USE_SPHERE_PROXY
     Ray ray = primary_ray(ivec2(gl_FragCoord.xy));
     bool met, front;
-    Hit hit = hit_known(ray, instance, triangle, met, front);
+    Hit hit = hit_uncut(ray, instance, triangle, met, front);
 #endif
 #if USE_SPHERE_PROXY
     if (!met || (SINGLE_SIDED && !front && hit_group_of(instance, hit.geometry).single_sided == 1u)) discard;

@@ -139,7 +139,7 @@ Hit next_hit(Ray ray, inout vec3 throughput, out bool passed_through) {
         Hit layer = closest_blended(rest);
         if (layer.triangle == ID_NONE) break;
         Surface s = surface_at(layer, ray, 0.0);
-        rest.t_min = uintBitsToFloat(floatBitsToUint(layer.t) + 1u);
+        rest.t_min = next_after(layer.t);
         if (random_float() >= s.alpha) continue;
         vec3 passes = transmitted(s.bsdf, -ray.dir);
         float through = min(max3(passes), 0.95);

@@ -24,7 +24,7 @@ void main() {
 #endif
     Ray ray = texel_ray(map);
     bool met, front;
-    Hit hit = hit_known(ray, instance, triangle, met, front);
+    Hit hit = hit_uncut(ray, instance, triangle, met, front);
 #if USE_SPHERE_PROXY
     if (!met) discard;
     Point p = sphere_point(texelFetch(triangles, int(triangle)), ray, hit.t, instances[instance]);

@@ -217,13 +217,17 @@ def bounced_rays(kind: str, first: Rays, t: F64, normal: F64, extent: float, rng
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What the GPU found. t: inf = a miss. triangle: row of Geometry.triangles. blocked: any_hit's word."""
+    """What the GPU found. t: inf = a miss. triangle: row of Geometry.triangles. light: what any_hit lets by, 0 to 1."""
 
     t: F64
     bary: F64
     triangle: U32
     instance: U32
-    blocked: NDArray[np.bool_]
+    light: F64
+
+    @property
+    def blocked(self) -> NDArray[np.bool_]:
+        return self.light == 0
 
     @property
     def hit(self) -> NDArray[np.bool_]:
@@ -284,7 +288,7 @@ class Tracer:
         source.release()
         target.release()
         real = data.view(np.float32).astype(np.float64)
-        return Found(real[:, 0], real[:, 1:3], data[:, 3].copy(), data[:, 4].copy(), real[:, 6] == 0)
+        return Found(real[:, 0], real[:, 1:3], data[:, 3].copy(), data[:, 4].copy(), real[:, 6])
 
     def triangles(self) -> tuple[F64, U32, U32]:
         """What is there, in float64 and in the space of the rays: corners (T, 3, 3), row of triangles, instance."""

@@ -6,13 +6,14 @@ float64.
 """
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 import rays as ray
-from oracles import border_distance
+from oracles import border_distance, linear, sampled, transformed
 from rays import moved, piece, scene_of
 
 import glhybrid as gh
@@ -76,6 +77,12 @@ def _spheres(_: Path) -> View:
     poses = [moved(rng.uniform(-3, 3, 3), np.diag(np.full(3, 10 ** rng.uniform(-1.5, 0.2)))) for _ in range(40)]
     scene = scene_of(Sphere(1.0), box(size=(8, 0.1, 8)), materials=(TWO_SIDED,))
     return _far_orbit(scene.replace(instances=(*(Instance(0, p) for p in poses), Instance(1, moved((0, -0.5, 0))))))
+
+
+def _cut_out_spheres(_: Path) -> View:
+    scene, camera = _spheres(Path())
+    instances = tuple(replace(i, materials=(1,)) if i.mesh == 0 else i for i in scene.instances)
+    return scene.replace(materials=(TWO_SIDED, perforated()), instances=instances), camera
 
 
 def _stretched_spheres(_: Path) -> View:
@@ -150,6 +157,7 @@ SCENES: dict[str, Callable[[Path], View]] = {
     "cut-outs": _cut_outs,
     "spheres": _spheres,
     "stretched spheres": _stretched_spheres,
+    "cut-out spheres": _cut_out_spheres,
     "inside a sphere": _inside_a_sphere,
     "one-sided spheres": _one_sided_spheres,
     "sphere at the near plane": _sphere_at_the_near_plane,
@@ -203,10 +211,24 @@ def edges(ids: Any) -> Any:
     return np.any([(s != ids).any(-1) for s in shifts], axis=0)
 
 
+def at_the_cutoff(geometry: Any, instance: int, triangle: int, corners: Any, point: Any) -> bool:
+    """Whether the alpha of a cut-out is, at this point, within 1e-3 of where it cuts."""
+    row = geometry.first_record[instance] + geometry.triangles[triangle, 3]
+    material = geometry.materials[geometry.hit_groups[geometry.records[row, 0], 1]]
+    if material.alpha_mode != "MASK":
+        return False
+    texture, vertices = material.textures["base_color"], geometry.vertices[geometry.triangles[triangle, :3]]
+    assert texture.uv_set == 0
+    weights = np.linalg.lstsq(np.vstack([corners.T, np.ones(3)]), np.append(point, 1), rcond=None)[0]
+    uv = transformed(texture, weights @ vertices[:, [3, 7]].astype(np.float64))
+    alpha = sampled(texture, linear(texture.image.texels, True), uv[None])[0, 3] * material.base_color[3]
+    return bool(abs(alpha - material.alpha_cutoff) < 1e-3)
+
+
 def excused(
     geometry: Any, camera: Camera, size: tuple[int, int], scene: Scene, pixel: Any, drawn: Any, traced: Any
 ) -> bool:
-    """Whether a pixel's centre lies on an edge (1/128 px) of what it shows, or what it shows is at one depth."""
+    """Whether a pixel's centre lies on an edge (1/128 px) of what it shows, or what it shows is at one depth or cut there."""
     view = make_view(camera, size, scene)
     x, y = (pixel[1] + 0.5) / size[0] * 2 - 1, 1 - (pixel[0] + 0.5) / size[1] * 2
     origin, direction = view.eye, view.forward
@@ -239,6 +261,8 @@ def excused(
             t = float((corners[0] - origin) @ n / (direction @ n))
             footprint = view.pixel_angle * (1 if view.orthographic else max(abs(t), 1e-9))
             border = min(border, border_distance(corners, origin, direction) / footprint)
+            if at_the_cutoff(geometry, instance, triangle, corners, origin + t * direction):
+                return True
         distances.append(t)
     if border <= 1 / 128:
         return True

@@ -290,7 +290,7 @@ def garbage(seed: int) -> Scene:
     return scene.replace(instances=tuple(instances))
 
 
-@pytest.mark.parametrize("seed", range(12 if ray.SCALE <= 1 else int(10 * ray.SCALE)))
+@pytest.mark.parametrize("seed", range(20 if ray.SCALE <= 1 else int(10 * ray.SCALE)))
 def test_garbage(renderer: gh.Renderer, context: "Context", seed: int) -> None:
     """A picture without a bad pixel, or one clear error."""
     scene, camera = garbage(seed), Camera.look_at((0.5, 1, 5), (0, 0, 0))

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import rays as ray
+from oracles import linear, sampled, transformed
 from rays import Rays, Tracer, moved, scene_of
 
 from glhybrid import textures
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from glhybrid.context import Context
 
 FINEST = -1e9
-FIELDS = {
+FIELDS: dict[str, tuple[int, Any]] = {
     "position": (0, slice(0, 3)), "offset": (0, 3), "n_geo": (1, slice(0, 3)), "alpha": (1, 3), "n": (2, slice(0, 3)),
     "roughness": (2, 3), "n_coat": (3, slice(0, 3)), "metallic": (3, 3), "base_color": (4, slice(0, 3)),
     "occlusion": (4, 3), "emissive": (5, slice(0, 3)), "unlit": (5, 3), "bary": (6, slice(0, 2)), "met": (6, 3),
@@ -24,47 +25,6 @@ FIELDS = {
 
 
 # --- the oracle ----------------------------------------------------------------------------------------------------
-
-
-def linear(texels: Any, srgb: bool) -> F64:
-    """(H, W, 4) uint8 as light, float64."""
-    c = texels / 255.0
-    if srgb:
-        rgb = c[..., :3]
-        c = np.concatenate([np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4), c[..., 3:]], -1)
-    return np.asarray(c, np.float64)
-
-
-def wrapped(i: Any, n: int, mode: str) -> Any:
-    """Texel index by glTF's wrap modes."""
-    if mode == "clamp":
-        return np.clip(i, 0, n - 1)
-    if mode == "repeat":
-        return i % n
-    i = i % (2 * n)
-    return np.where(i < n, i, 2 * n - 1 - i)
-
-
-def sampled(texture: Texture, light: F64, uv: F64) -> F64:
-    """(R, 4): one level of a texture at (R, 2) coordinates that are already transformed."""
-    height, width = light.shape[:2]
-    p = uv * (width, height) - (0.0 if texture.nearest else 0.5)
-    i = np.floor(p).astype(np.int64)
-    f = np.zeros_like(p) if texture.nearest else p - i
-    total = np.zeros((len(uv), 4))
-    for dx in (0, 1):
-        for dy in (0, 1):
-            weight = (f[:, 0] if dx else 1 - f[:, 0]) * (f[:, 1] if dy else 1 - f[:, 1])
-            x = wrapped(i[:, 0] + dx, width, texture.wrap_u)
-            y = wrapped(i[:, 1] + dy, height, texture.wrap_v)
-            total += weight[:, None] * light[y, x]
-    return total
-
-
-def transformed(texture: Texture, uv: F64) -> F64:
-    if texture.uv_transform is None:
-        return uv
-    return np.asarray(uv @ texture.uv_transform[:, :2].T + texture.uv_transform[:, 2])
 
 
 def chain(light: F64) -> list[F64]:
@@ -205,6 +165,7 @@ def oracle(scene: Scene, tracer: Tracer, got: dict[str, F64], rays: Rays) -> dic
     p = scene.meshes[instance.mesh].primitives[0]
     assert isinstance(p, Triangles) and p.uv0 is not None and p.uv1 is not None
     assert p.color is not None and p.tangent is not None
+    tangent = p.tangent
     m, pose = scene.materials[p.material], instance.world_from_object
     index = p.index[tracer.geometry.source_triangle[got["triangle"].astype(int)]]
     flipped = np.linalg.det(pose[:3, :3]) < 0
@@ -227,8 +188,8 @@ def oracle(scene: Scene, tracer: Tracer, got: dict[str, F64], rays: Rays) -> dic
         return sampled(texture, light, transformed(texture, uv[texture.uv_set]))
 
     def mapped(slot: str, scale: float) -> F64:
-        t = ray.unit(mix(p.tangent[:, :3]) @ pose[:3, :3].T)
-        sign = np.sign(mix(p.tangent)[:, 3:]) * (-1 if flipped else 1)
+        t = ray.unit(mix(tangent[:, :3]) @ pose[:3, :3].T)
+        sign = np.sign(mix(tangent)[:, 3:]) * (-1 if flipped else 1)
         b = np.cross(n_front, t) * sign
         c = texel(slot)[:, :3] * 2 - 1
         return np.asarray(ray.unit(c[:, :1] * scale * t + c[:, 1:2] * scale * b + c[:, 2:] * n_front) * side)
