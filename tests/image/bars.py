@@ -57,4 +57,8 @@ BARS = {
         3e-4, "uv of float32, 1e-7 of 4 m, times 5 texels as far apart as black and white; half-float vertex colours"
     ),
     "ray-lerp": Bar(6e-3, "the split-sum table: 2e-3 off, 64 x 64 half floats, linear between; measured 4e-3"),
+    # test_models.py
+    "surface": Bar(2e-3, "bilinear texels of real textures, uv of float32 and colours of half floats, as a share of 1"),
+    "same picture": Bar(1e-3, "another tree and another space of the same triangles: float32 roundings, textures"),
+    "same picture, pixels": Bar(2e-3, "shadow edges and cut-outs may fall on the other side"),
 }
