@@ -6,6 +6,7 @@ dielectric and metal mixed by metallic (B.2). All directions are unit, (..., 3),
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,12 +19,12 @@ ALPHA_MIN = 4e-4  # of the renderer's contract: smoother than roughness 0.02 is 
 class Brdf:
     """Material parameters by their glTF names, textures already applied."""
 
-    base_color: ArrayLike = (1.0, 1.0, 1.0)
+    base_color: Any = (1.0, 1.0, 1.0)
     metallic: float = 0.0
     roughness: float = 1.0
     ior: float = 1.5
     specular: float = 1.0
-    specular_color: ArrayLike = (1.0, 1.0, 1.0)
+    specular_color: Any = (1.0, 1.0, 1.0)
     transmission: float = 0.0
     clearcoat: float = 0.0
     clearcoat_roughness: float = 0.0

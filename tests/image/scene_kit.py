@@ -16,14 +16,13 @@ from glhybrid.scene import (
     Material,
     Mesh,
     Scene,
-    Sphere,
     Texture,
     Triangles,
 )
 from glhybrid.view import View, make_view
 
 F64 = NDArray[np.float64]
-Part = tuple[Triangles | Sphere, Material] | tuple[Triangles | Sphere, Material, ArrayLike]
+Part = tuple[Any, ...]  # (shape, material) or (shape, material, world_from_object or translation)
 
 
 def quad(corners: ArrayLike, uv: ArrayLike | None = None) -> Triangles:
@@ -74,7 +73,7 @@ def scene(parts: Sequence[Part], camera: Camera | None = None, **extra: Any) -> 
     """One instance and one mesh a part: (shape, material) or (shape, material, world_from_object or translation)."""
     meshes, instances, materials = [], [], []
     for i, part in enumerate(parts):
-        placement = np.asarray(part[2], np.float64) if len(part) == 3 else np.eye(4)  # type: ignore[misc]
+        placement = np.asarray(part[2], np.float64) if len(part) == 3 else np.eye(4)
         if placement.shape == (3,):
             pose = np.eye(4)
             pose[:3, 3] = placement
@@ -82,13 +81,10 @@ def scene(parts: Sequence[Part], camera: Camera | None = None, **extra: Any) -> 
         meshes.append(Mesh(f"part {i}", (part[0],)))
         materials.append(part[1])
         instances.append(Instance(i, placement, materials=(i,)))
-    extra.setdefault("lights", ())
+    extra["lights"] = tuple(extra.get("lights", ()))
     if camera is None:
         camera = Camera.look_at((1.5, 2.5, 5.0), (0, 0.6, 0), fov_y=np.radians(40))
-    return Scene(
-        "test", tuple(meshes), tuple(instances), tuple(materials), cameras=(camera,),
-        **{k: tuple(v) if k == "lights" else v for k, v in extra.items()},
-    )  # fmt: skip
+    return Scene("test", tuple(meshes), tuple(instances), tuple(materials), cameras=(camera,), **extra)
 
 
 def matte(color: ArrayLike = (0.8, 0.8, 0.8), alpha: float = 1.0, **extra: Any) -> Material:

@@ -44,8 +44,8 @@ class Probe:
         """(count, repeats, 3, 4): as the probe's Results."""
         count = max(len(brdfs), np.size(v) // 3, np.size(l) // 3)
         rows = np.zeros((count, 6, 4), np.float32)
-        for name, slot, part in (("base_color", 0, slice(3)), ("f0", 1, slice(3))):
-            rows[:, slot, part] = [np.broadcast_to(getattr(b, name), 3) for b in brdfs]
+        rows[:, 0, :3] = [np.broadcast_to(b.base_color, 3) for b in brdfs]
+        rows[:, 1, :3] = [b.f0 for b in brdfs]
         names = (("metallic", 0, 3), ("specular", 1, 3), ("roughness", 2, 0), ("transmission", 2, 1),
                  ("clearcoat", 2, 2), ("clearcoat_roughness", 2, 3))  # fmt: skip
         for name, slot, part in names:
@@ -115,7 +115,7 @@ def test_values(probe: Probe, coated: bool) -> None:
 def test_behind(probe: Probe) -> None:
     """Nothing where light or viewer are behind the normal, and no NaN at grazing or opposite directions."""
     up = unit([0.3, 0.1, 0.5])
-    sides = [(up, -up), (-up, up), (-up, -up), ((1, 0, 0), up), (up, (1, 0, 0)), ((1, 0, 0), (-1, 0, 0))]
+    sides: Any = [(up, -up), (-up, up), (-up, -up), ((1, 0, 0), up), (up, (1, 0, 0)), ((1, 0, 0), (-1, 0, 0))]
     for brdf in (Brdf(), Brdf(metallic=1, roughness=0.1), Brdf(clearcoat=1, clearcoat_roughness=0.1)):
         for v, l in sides:  # noqa: E741
             got = probe.run([brdf], v, l)[0, 0]
@@ -169,8 +169,7 @@ def test_samples_follow_the_density(probe: Probe, name: str, mu: float, scale: f
 def chi_square(seen: "NDArray[Any]", expected: "NDArray[Any]", least: float = 8.0) -> float:
     """Standard normal score of Pearson's statistic (Wilson-Hilferty); bins that expect little are pooled."""
     order = np.argsort(expected)
-    small = np.searchsorted(expected[order].cumsum(), least)
-    small = max(int(small), int((expected < least).sum()))
+    small = max(int(np.searchsorted(expected[order].cumsum(), least)), int((expected < least).sum()))
     pool = order[:small]
     keep = order[small:]
     terms = [((seen[keep] - expected[keep]) ** 2 / expected[keep]).sum()]

@@ -1,7 +1,7 @@
 """From radiance to what a screen shows: exposure, tone maps, sRGB, and files that hold radiance as it is."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -87,7 +87,7 @@ def test_half_grey_reads_188(renderer: "Renderer", others: str) -> None:
     )
     camera = Camera.look_at((0, 1, 4), (0, 1, 0))
     glass = plastic((1.0, 0.2, 0.2), 0.1, alpha_mode="BLEND", clearcoat=1.0)
-    more = {
+    more: Any = {
         "nothing": ([], {}),
         "lights and metals": (
             [(floor(), metal(1.0, 0.1)), (Sphere(0.5), plastic(), (1, 0.5, 0))],
@@ -180,7 +180,7 @@ def test_files_hold_radiance(renderer: "Renderer", tmp_path: Path) -> None:
             npz = file["radiance"]
         assert np.array_equal(exr, frame["radiance"]) and np.array_equal(npz, frame["radiance"])
         arrays.append(frame["radiance"])
-    assert np.array_equal(*arrays)
+    assert np.array_equal(arrays[0], arrays[1])
 
 
 def test_antialiasing_is_a_box_over_the_pixel(renderer: "Renderer") -> None:

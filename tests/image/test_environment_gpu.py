@@ -12,7 +12,7 @@ from scene_kit import camera_rays, constant_sky, floor, matte, plastic, scene
 
 from glhybrid import layout, sky_cache
 from glhybrid.load.environment import read_environment
-from glhybrid.scene import Camera, Environment
+from glhybrid.scene import Camera, Environment, Sphere
 from glhybrid.settings import Settings
 
 if TYPE_CHECKING:
@@ -199,7 +199,7 @@ def test_convolutions_are_seamless(renderer: "Renderer", models: Path) -> None:
     """Rough reflections of the sky on a sphere have no seam where octahedral maps fold: steps stay as small as their light's."""
     sky = skies(models)["hall"]
     world = scene(
-        [(floor(0.01, -1000.0), matte()), (_ball(), plastic(0.0, 0.6, specular_color=(1, 1, 1), ior=8.0))],
+        [(floor(0.01, -1000.0), matte()), (Sphere(0.9), plastic(0.0, 0.6, specular_color=(1, 1, 1), ior=8.0))],
         camera=Camera.look_at((0, 4, 0.01), (0, 0, 0), fov_y=0.5), environment=sky,
     )  # fmt: skip
     frame = renderer.render(world, size=(128, 128), settings=Settings(aa=1, reflections="env"), aovs=("instance_id",))
@@ -212,19 +212,16 @@ def test_convolutions_are_seamless(renderer: "Renderer", models: Path) -> None:
     assert inside.mean() > 0.2 and bend.max() < 3 * np.quantile(step, 0.99), (bend.max(), np.quantile(step, 0.99))
 
 
-def _ball() -> object:
-    from glhybrid.scene import Sphere
-
-    return Sphere(0.9)
-
-
 @pytest.mark.usefixtures("no_cache")
 def test_constant_is_constant(renderer: "Renderer") -> None:
     """A constant sky and a map of one colour are the same light, whatever the material and its roughness."""
     for roughness in (0.1, 0.6):
         material = plastic((0.5, 0.6, 0.7), roughness)
         pictures = []
-        for sky in (constant_sky((0.5, 1.0, 2.0)), Environment(np.tile(np.float32([0.5, 1.0, 2.0]), (16, 32, 1)))):
-            world = scene([(floor(), material), (_ball(), material, (0, 0.9, 0))], environment=sky)
+        for sky in (
+            constant_sky((0.5, 1.0, 2.0)),
+            Environment(np.tile(np.array([0.5, 1.0, 2.0], np.float32), (16, 32, 1))),
+        ):
+            world = scene([(floor(), material), (Sphere(0.9), material, (0, 0.9, 0))], environment=sky)
             pictures.append(renderer.render(world, size=(48, 36), settings=Settings(aa=1))["radiance"])
         assert relative(pictures[1], pictures[0]).max() < BARS["half float"].value

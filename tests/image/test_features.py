@@ -155,7 +155,7 @@ def tilt(x: float, y: float) -> tuple[int, int, int]:
 def test_normal_map(renderer: "Renderer", scale: float, pose: str) -> None:
     """A map of one tilt: the normal is T x + B y + N z with +X along u and +Y against v, whatever the instance's transform."""
     texel = tilt(0.3, 0.2)
-    normal_map = texture(np.tile(np.uint8(texel), (2, 2, 1)))
+    normal_map = texture(np.tile(np.array(texel, np.uint8), (2, 2, 1)))
     placement = {
         "plain": np.eye(4),
         "turned": np.array([[0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1.0]]),
@@ -184,7 +184,7 @@ def test_normal_map(renderer: "Renderer", scale: float, pose: str) -> None:
 
 def test_normal_map_from_behind(renderer: "Renderer") -> None:
     """Seen from behind, the whole frame turns over: normals point towards the viewer, tilted to the same world side."""
-    normal_map = texture(np.tile(np.uint8(tilt(0.3, 0.0)), (2, 2, 1)))
+    normal_map = texture(np.tile(np.array(tilt(0.3, 0.0), np.uint8), (2, 2, 1)))
     card = quad([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
     material = plastic(textures={"normal": normal_map})
     for z in (3, -3):
@@ -255,7 +255,7 @@ def test_minified_texture_is_its_mean(renderer: "Renderer") -> None:
 
 def test_every_slot(renderer: "Renderer") -> None:
     """Each texture slot reads its own channels, in its own encoding, and multiplies its factor."""
-    rgba = np.uint8([[[200, 100, 50, 128]]])
+    rgba = np.array([[[200, 100, 50, 128]]], np.uint8)
     linear, decoded = rgba[0, 0] / 255, np.append(((rgba[0, 0, :3] / 255 + 0.055) / 1.055) ** 2.4, 128 / 255)
 
     size = (16, 12)
@@ -296,7 +296,7 @@ def test_every_slot(renderer: "Renderer") -> None:
 def test_vertex_colours(renderer: "Renderer") -> None:
     """COLOR_0 multiplies the base colour, interpolated in linear light; alpha too."""
     square = floor(2.0)
-    colors = np.float32([(1, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1), (1, 1, 0.5, 1)])
+    colors = np.array([(1, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1), (1, 1, 0.5, 1)], np.float32)
     world = scene([(dataclasses.replace(square, color=colors), plastic((0.5, 1.0, 0.8), 1.0))], DOWN, lights=[sun()])
     frame = draw(renderer, world, "albedo", "position")
     p = frame["position"].astype(np.float64)
@@ -329,7 +329,7 @@ def test_emission(renderer: "Renderer") -> None:
 def unlit(color: Any, alpha: float = 1.0, **more: Any) -> Material:
     r, g, b = color
     mode = {"alpha_mode": "BLEND"} if alpha < 1 else {}
-    return Material("unlit", (r, g, b, alpha), unlit=True, double_sided=True, **(mode | more))  # type: ignore[arg-type]
+    return Material("unlit", (r, g, b, alpha), unlit=True, double_sided=True, **(mode | more))
 
 
 def card(z: float, half: float = 1.0) -> Any:
@@ -360,7 +360,7 @@ def test_layers_are_in_order(renderer: "Renderer", order: tuple[int, ...], throu
         assert np.allclose(got, want, atol=1e-5), (got[4, 4], want)
 
 
-PANES = {
+PANES: dict[str, Any] = {
     "a third there": (matte((1.0, 0.5, 0.2), alpha=0.4, alpha_mode="BLEND"), 0.6),
     "opaque": (matte((1.0, 0.5, 0.2)), 0.0),
     "cut out": (matte((1.0, 0.5, 0.2), alpha=0.4, alpha_mode="MASK"), 1.0),

@@ -3,7 +3,7 @@
 import functools
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def rough_sky() -> Environment:
     return Environment(texels, intensity=0.6, rotation=0.7)
 
 
-def room(*more: tuple, **extra: object) -> Scene:
+def room(*more: Any, **extra: Any) -> Scene:
     """Rough and sharp metal, plastic, and a mix of both on a matte floor. Flat, but for the analytic balls."""
     c, s = np.cos(0.6), np.sin(0.6)
     turn = np.array([[c, 0, s, -0.9], [0, 1, 0, 0.5], [-s, 0, c, 0.2], [0, 0, 0, 1]])
@@ -44,7 +44,7 @@ def room(*more: tuple, **extra: object) -> Scene:
     return scene(parts, **extra)
 
 
-def lamp(y: float = 3.2, **extra: object) -> tuple:
+def lamp(y: float = 3.2, **extra: Any) -> tuple:
     """A square that shines down (and, double-sided, up)."""
     shape = quad([(-0.6, y, -0.3), (0.6, y, -0.3), (0.6, y, 0.9), (-0.6, y, 0.9)])
     return shape, matte(0.5, emissive=(6.0, 5.0, 4.0), **extra)
@@ -71,7 +71,7 @@ def light_of(name: str) -> Callable[[], Scene]:
     }[name]
 
 
-def facets(radius: float, segments: int) -> object:
+def facets(radius: float, segments: int) -> Any:
     """A ball of flat triangles: Mitsuba takes the angle of a lamp's light from smooth normals, which glTF does not."""
     ball = ellipsoid(radii=(radius,) * 3, segments=segments)
     return soup(ball.position[ball.index])
@@ -135,7 +135,7 @@ def test_cornell_box(renderer: "Renderer", oracle: "Oracle", models: Path, scale
     judge(renderer, oracle, cornell(models), 8, scale, tmp_path)
 
 
-def checker(half: float, y: float, holes: bool) -> object:
+def checker(half: float, y: float, holes: bool) -> Any:
     """8 x 8 squares over a horizontal square, all of them, or only those that a checkerboard keeps, as triangles."""
     step = 2 * half / 8
     corners = []
@@ -153,9 +153,10 @@ def test_cut_outs(renderer: "Renderer", oracle: "Oracle", shines: bool, scale: f
     """A checkerboard cut out by alpha is the checkerboard cut out of the mesh: seen, in shadows, in mirrors, and as a lamp."""
     alpha = np.indices((8, 8)).sum(0) % 2 == 0
     texels = np.dstack([np.full((8, 8, 3), 255), np.where(alpha, 255, 0)])
-    look = {"emissive": (4.0, 3.0, 2.0)} if shines else {}
+    look: Any = {"emissive": (4.0, 3.0, 2.0)} if shines else {}
     cut = matte(0.7, alpha_mode="MASK", textures={"base_color": texture(texels, nearest=True)}, **look)
-    y, light = 1.8, {} if shines else {"environment": constant_sky((0.5, 0.7, 1.0)), "lights": [sun()]}
+    light: Any = {} if shines else {"environment": constant_sky((0.5, 0.7, 1.0)), "lights": [sun()]}
+    y = 1.8
     square = quad([(-1, y, 1), (1, y, 1), (1, y, -1), (-1, y, -1)], [(0, 1), (1, 1), (1, 0), (0, 0)])
     world = room((square, cut), **light)
     same = room((checker(1.0, y, holes=True), matte(0.7, **look)), **light)
