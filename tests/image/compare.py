@@ -101,16 +101,18 @@ def z_test(got: Noisy, want: Noisy, alpha: float = 0.01, floor: float = 1e-4, ti
     variance = np.maximum(got.variance + want.variance, least)
     z = (got.mean - want.mean) / np.sqrt(variance)
     limit = NormalDist().inv_cdf(1 - (1 - (1 - alpha) ** (1 / z.size)) / 2)
+    fine = (np.abs(z) <= limit).all(-1, keepdims=True)  # the rest counts in `passed`, and must not decide a tile
     height, width = z.shape[0] // tile * tile, z.shape[1] // tile * tile
 
     def tiles(values: F64) -> F64:
-        return values[:height, :width].reshape(height // tile, tile, width // tile, tile, 3).sum((1, 3))
+        values = np.where(fine, values, 0)[:height, :width]
+        return values.reshape(height // tile, tile, width // tile, tile, 3).sum((1, 3))
 
-    tile_z = tiles(got.mean - want.mean) / np.sqrt(tiles(variance))
-    whole = (got.mean - want.mean).sum((0, 1)) / np.sqrt(variance.sum((0, 1)))
+    tile_z = tiles(got.mean - want.mean) / np.sqrt(np.maximum(tiles(variance), least))
+    whole = tiles(got.mean - want.mean).sum((0, 1)) / np.sqrt(tiles(variance).sum((0, 1)))
     return Agreement(
-        float((np.abs(z) <= limit).all(-1).mean()), float(np.abs(tile_z).max()), float(np.abs(whole).max()),
-        float((z**2).mean()), float(np.abs(got.mean.sum((0, 1)) / want.mean.sum((0, 1)) - 1).max()),
+        float(fine.mean()), float(np.abs(tile_z).max()), float(np.abs(whole).max()),
+        float((np.where(fine, z, 0) ** 2).mean()), float(np.abs(got.mean.sum((0, 1)) / want.mean.sum((0, 1)) - 1).max()),
     )  # fmt: skip
 
 
