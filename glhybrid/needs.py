@@ -47,7 +47,6 @@ class Features:
     moeller_trumbore: bool = False  # tests only: the control that must leak
     bvh_stack: int = 0  # entries, from the depth of the trees
     bvh_inner_steps: int = 3  # inner nodes in a row, before a leaf
-    software: bool = False  # a CPU: its compiler runs the body of an `if` with no lane alive
     texture_slots: int = 0  # bit k: some material has a texture in slot k (layout SLOT_*)
     aov: int = 0  # which, in passes/aov.comp
 

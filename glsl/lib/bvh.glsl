@@ -120,7 +120,7 @@ vec3 transmittance_at(HitGroup group, Hit hit, Ray ray, bool front, uint see) {
     }
     if (!ALPHA_TEST && !BLENDED) return vec3(0.0);
     vec3 result = vec3(0.0);
-    WHEN (group.any_hit == ANY_HIT_MASK || (see == SEE_BLOCKERS && group.any_hit == ANY_HIT_TINT)) {
+    if (group.any_hit == ANY_HIT_MASK || (see == SEE_BLOCKERS && group.any_hit == ANY_HIT_TINT)) {
         Material m = materials[group.material];
         Instance inst = instances[hit.instance];
         uvec4 tri = texelFetch(triangles, int(hit.triangle));

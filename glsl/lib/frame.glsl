@@ -1,14 +1,6 @@
 // lib/frame.glsl -- what changes by frame, and the primary ray of a pixel.
 #include "layout.glsl"
 
-// `if`, for a body worth skipping. Mesa's llvmpipe runs the body of an if with no lane alive, texture fetches, rays and all,
-// but not that of a loop; NVIDIA's compiler takes minutes over many one-turn loops.
-#if USE_SOFTWARE
-#define WHEN(condition) for (bool when_ = (condition); when_; when_ = false)
-#else
-#define WHEN(condition) if (condition)
-#endif
-
 layout(std430) readonly buffer Frame { FrameConstants frame; };
 
 struct Ray { vec3 origin; float t_min; vec3 dir; float t_max; };

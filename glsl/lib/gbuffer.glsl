@@ -13,7 +13,7 @@ Pixel load_pixel(ivec2 px) {
     Pixel p = Pixel(primary_ray(px), MISS);
     uvec2 id = texelFetch(gbuffer_id, px, 0).xy;
     bool met, front;
-    WHEN (id.y != ID_NONE) p.hit = hit_uncut(p.ray, id.x, id.y, met, front);
+    if (id.y != ID_NONE) p.hit = hit_uncut(p.ray, id.x, id.y, met, front);
     return p;
 }
 

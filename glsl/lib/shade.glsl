@@ -43,7 +43,7 @@ vec3 direct_light(Surface s, vec3 v) {
     vec3 sum = vec3(0.0);
     for (uint i = 0u; i < frame.light_count; i++) {
         LightSample l = light_at(lights[i], s.point.position);
-        WHEN (arrives(l) && faces(s, l.dir)) {
+        if (arrives(l) && faces(s, l.dir)) {
             vec3 f = bsdf_eval(s.bsdf, v, l.dir) * l.irradiance;
 #if USE_SHADOW_RAYS
             f *= visibility_from(s.point, l, i);
@@ -84,12 +84,13 @@ vec3 indirect_light(Surface s, vec3 v, vec3 mirror_dir, vec3 traced, bool has_tr
     specular = has_traced ? (is_mirror(b) ? traced : mix(traced, sky, b.roughness)) : sky;
     result += specular_albedo(b, v) * specular;
 #endif
+    if (dot(b.n, v) <= 0.0) result = vec3(0.0);                            // as bsdf_eval: no light from behind the normal
     if (CLEARCOAT && b.clearcoat > 0.0) {
         float f = coat_fresnel(b, v);
         result *= 1.0 - f;
 #if USE_SPECULAR_SKY || USE_REFLECTIONS
         vec3 coat_sky = SPECULAR_SKY ? environment_prefiltered(mirror_dir, b.clearcoat_roughness) : vec3(0.0);
-        result += f * (has_traced ? mix(traced, coat_sky, b.clearcoat_roughness) : coat_sky);
+        if (dot(b.n_coat, v) > 0.0) result += f * (has_traced ? mix(traced, coat_sky, b.clearcoat_roughness) : coat_sky);
 #endif
     }
     return result;
@@ -104,7 +105,7 @@ vec3 shade_hit(Hit hit, Ray ray, float footprint) {
     Point p = point_at(hit, ray);
     for (uint i = 0u; i < frame.light_count; i++) {
         LightSample l = light_at(lights[i], p.position);
-        WHEN (arrives(l) && dot(p.n_geo, l.dir) > 0.0) lit |= visibility_of(p, l).x > 0.0 ? 1u << i : 0u;
+        if (arrives(l) && dot(p.n_geo, l.dir) > 0.0) lit |= visibility_of(p, l).x > 0.0 ? 1u << i : 0u;
     }
 #endif
     Surface s = surface_at(hit, ray, footprint);

@@ -157,7 +157,7 @@ float map_visibility(Point p, vec3 dir, uint light) {
             float inside = 1.0 - 2.0 * map_margin / float(map.size) - max(centred.x, centred.y);
             take = map_blend > 0.0 ? clamp(inside / map_blend, 0.0, 1.0) : float(inside > 0.0);
         }
-        WHEN (take > 0.0) {
+        if (take > 0.0) {
             lit += rest * take * filtered(map, r, lights[light]);
             rest *= 1.0 - take;
         }

@@ -115,7 +115,7 @@ Surface surface_at(Hit hit, Ray ray, float footprint) {
     }
 #if USE_NORMAL_MAP
     const uint normal_slots = 1u << SLOT_NORMAL | 1u << SLOT_CLEARCOAT_NORMAL;
-    WHEN (!sphere && (m.texture_slots & normal_slots) != 0u) {
+    if (!sphere && (m.texture_slots & normal_slots) != 0u) {
         vec4 tangent = vec4(0.0);
         for (int i = 0; i < 3; i++) tangent += w[i] * uintBitsToFloat(texelFetch(tangents, int(tri[i])));
         tangent.xyz = to_world * tangent.xyz;

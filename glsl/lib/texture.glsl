@@ -96,7 +96,7 @@ vec4 base_color_at(Material m, Hit hit) {
     Attributes a = attributes_at(hit);
     vec4 color = m.base_color * a.color;
 #if USE_TEXTURES
-    WHEN (m.texture[SLOT_BASE_COLOR] >= 0) color *= sample_texture(m.texture[SLOT_BASE_COLOR], a.uv0, a.uv1, FINEST_LEVEL, true);
+    if (m.texture[SLOT_BASE_COLOR] >= 0) color *= sample_texture(m.texture[SLOT_BASE_COLOR], a.uv0, a.uv1, FINEST_LEVEL, true);
 #endif
     return color;
 }
@@ -106,7 +106,7 @@ Hit hit_uncut(Ray ray, uint instance, uint triangle, out bool met, out bool fron
     Hit hit = hit_known(ray, instance, triangle, met, front);
 #if USE_SPHERES && USE_ALPHA_TEST
     HitGroup group = hit_group_of(instance, hit.geometry);
-    WHEN (group.kind == KIND_SPHERE && group.any_hit == ANY_HIT_MASK && met && front) {
+    if (group.kind == KIND_SPHERE && group.any_hit == ANY_HIT_MASK && met && front) {
         if (base_color_at(materials[group.material], hit).a < materials[group.material].alpha_cutoff) {
             ray.t_min = next_after(hit.t);
             hit = hit_known(ray, instance, triangle, met, front);
@@ -126,11 +126,11 @@ float coverage(Material m, float alpha) {
 vec3 tint_at(Material m, vec4 color, Hit hit, float cos_theta) {
     float transmission = m.transmission, metallic = m.metallic;
 #if USE_TEXTURES
-    WHEN (HAS_SLOT(SLOT_TRANSMISSION) && m.texture[SLOT_TRANSMISSION] >= 0) {
+    if (HAS_SLOT(SLOT_TRANSMISSION) && m.texture[SLOT_TRANSMISSION] >= 0) {
         Attributes a = attributes_at(hit);
         transmission *= sample_texture(m.texture[SLOT_TRANSMISSION], a.uv0, a.uv1, FINEST_LEVEL, false).r;
     }
-    WHEN (HAS_SLOT(SLOT_METALLIC_ROUGHNESS) && transmission > 0.0 && m.texture[SLOT_METALLIC_ROUGHNESS] >= 0) {
+    if (HAS_SLOT(SLOT_METALLIC_ROUGHNESS) && transmission > 0.0 && m.texture[SLOT_METALLIC_ROUGHNESS] >= 0) {
         Attributes a = attributes_at(hit);
         metallic *= sample_texture(m.texture[SLOT_METALLIC_ROUGHNESS], a.uv0, a.uv1, FINEST_LEVEL, false).b;
     }

@@ -51,7 +51,7 @@ vec3 layers_over(Pixel p, vec3 behind) {
             color += direct_light(s, v);
 #if USE_REFLECTIONS
             bool look = sends_mirror_ray(s);
-            WHEN (look) {
+            if (look) {
                 Ray ray = Ray(ray_origin(s.point, r), 0.0, r, INFINITY);
                 Hit seen = closest_hit(ray);
                 if (seen.triangle == ID_NONE) traced = environment_radiance(r);

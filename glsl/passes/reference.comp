@@ -68,10 +68,10 @@ bool above(Surface s, vec3 l) { return dot(s.point.n_geo, l) > 0.0; }
 
 vec3 lamps(Surface s, vec3 v) {
     vec3 sum = vec3(0.0);
-    WHEN (frame.light_count > 0u) {
+    if (frame.light_count > 0u) {
         uint i = min(uint(random_float() * float(frame.light_count)), frame.light_count - 1u);
         LightSample l = light_at(lights[i], s.point.position);
-        WHEN (arrives(l) && above(s, l.dir))
+        if (arrives(l) && above(s, l.dir))
             sum = bsdf_eval(s.bsdf, v, l.dir) * l.irradiance * float(frame.light_count)
                 * any_hit(Ray(ray_origin(s.point, l.dir), 0.0, l.dir, l.distance));
     }
@@ -83,7 +83,7 @@ vec3 sky(Surface s, vec3 v) {
 #if USE_ENVIRONMENT
     float pdf;
     vec3 l = environment_sample(random_vec2(), pdf);
-    WHEN (pdf > 0.0 && above(s, l)) {
+    if (pdf > 0.0 && above(s, l)) {
         vec3 f = bsdf_eval(s.bsdf, v, l);
         float other = bsdf_pdf(s.bsdf, lobes_of(s.bsdf, v), v, l);
         sum = f * environment_radiance(l) * mis(pdf, other) / pdf * any_hit(Ray(ray_origin(s.point, l), 0.0, l, INFINITY));
@@ -116,7 +116,7 @@ vec3 shining(Surface s, vec3 v) {
     bool back = dot(to.n_geo, ray.dir) > 0.0;
     HitGroup group = hit_group_of(hit.instance, hit.geometry);
     vec3 sum = vec3(0.0);
-    WHEN (above(s, ray.dir) && hit.t > 0.0 && !(back && group.single_sided == 1u)) {
+    if (above(s, ray.dir) && hit.t > 0.0 && !(back && group.single_sided == 1u)) {
         Surface there = surface_at(hit, ray, 0.0);
         float pdf = emitter_pdf(hit, ray, there);
         vec3 from = ray_origin(s.point, ray.dir), target = ray_origin(to, -ray.dir);

@@ -22,7 +22,7 @@ void main() {
         vec3 r = mirror_direction(s, v, bent);
         bool smooth_enough = sends_mirror_ray(s);
         reason = smooth_enough ? (bent ? REASON_BELOW : REASON_NONE) : REASON_ROUGH;
-        WHEN (smooth_enough) {
+        if (smooth_enough) {
             Hit hit;
             Ray ray = Ray(ray_origin(s.point, r), 0.0, r, INFINITY);
             result.rgb = trace_radiance(ray, footprint(p.hit.t), frame.orthographic == 1u ? 0.0 : frame.pixel_angle, hit);

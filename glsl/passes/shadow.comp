@@ -45,7 +45,7 @@ void main() {
         vec3 visibility = vec3(0.0);
         // A mended point leaves on the viewer's side, even where the light lies behind the facet.
         vec3 origin = TERMINATOR ? from.position + from.offset * from.n_geo : ray_origin(from, l.dir);
-        WHEN (arrives(l) && faces(s, l.dir)) visibility = any_hit(Ray(origin, 0.0, l.dir, l.distance));
+        if (arrives(l) && faces(s, l.dir)) visibility = any_hit(Ray(origin, 0.0, l.dir, l.distance));
         imageStore(out_visibility, ivec3(px, i), vec4(visibility, 1.0));
     }
 }

@@ -25,7 +25,7 @@ void main() {
     for (uint i = frame.light_first; i < frame.light_end; i++) {
         LightSample l = light_at(lights[i], s.point.position);
         vec3 visibility = vec3(0.0);
-        WHEN (arrives(l) && faces(s, l.dir)) visibility = vec3(map_visibility(s.point, l.dir, i));
+        if (arrives(l) && faces(s, l.dir)) visibility = vec3(map_visibility(s.point, l.dir, i));
         imageStore(out_visibility, ivec3(px, i), vec4(visibility, 1.0));
     }
 }

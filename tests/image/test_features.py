@@ -478,3 +478,19 @@ def test_ray_lerp(renderer: "Renderer", kind: str, roughness: float, reflections
     share = (error[~border] < BARS["ray-lerp"].value).mean()
     print(kind, roughness, reflections, f"largest {error[~border].max():.1e}, walls met {met.mean():.2f}")
     assert met.mean() > 0.1 and (~met).mean() > 0.1 and share == 1, (share, error[~border].max())
+
+
+@pytest.mark.parametrize("coat", [0.0, 1.0])
+@pytest.mark.parametrize("roughness", [0.0, 0.3, 1.0])
+def test_a_normal_that_faces_away_reflects_nothing(renderer: "Renderer", roughness: float, coat: float) -> None:
+    """design.md, 3: where the shading normal faces away from the viewer the BRDF is 0, of lamps and sky, in hybrid and reference."""
+    away = np.tile(unit([0.0, 0.05, -1.0]), (4, 1)).astype(np.float32)  # the camera is at +Z, the floor still faces it
+    piece = dataclasses.replace(floor(), normal=away)
+    material = plastic(roughness=roughness, clearcoat=coat)
+    world = scene([(piece, material)], camera=ASKANCE, environment=constant_sky((1.0, 1.0, 1.0)), lights=(sun(),))
+    for reflections in ("ray-lerp", "env", "reference"):
+        frame = draw(
+            renderer, world, "normal", reflections=reflections, **({"samples": 1} if reflections == "reference" else {})
+        )
+        seen = np.linalg.norm(frame["normal"], axis=-1) > 0
+        assert seen.mean() > 0.3 and not frame["radiance"][seen].any(), reflections
