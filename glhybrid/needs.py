@@ -29,6 +29,7 @@ class Features:
     specular: bool = False  # KHR_materials_ior or KHR_materials_specular
     environment: bool = False
     environment_map: bool = False  # not constant
+    blurred_sky: bool = False  # and its convolutions are read
     specular_sky: bool = False  # the environment is seen in the specular lobe
     shadow_rays: bool = False  # hits and layers send their own
     shadow_bits: bool = False  # and their answers are yes or no, for at most 32 lights
@@ -128,7 +129,8 @@ def find(scene: Scene, settings: Settings) -> Needs:
         specular=any(m.ior != 1.5 or m.specular != 1 or m.specular_color != (1.0, 1.0, 1.0) for m in materials),
         environment=environment,
         environment_map=environment and scene.environment is not None and not scene.environment.constant,
-        specular_sky=environment and settings.reflections != "none",
+        blurred_sky=environment and not reference,
+        specular_sky=environment and settings.reflections not in ("none", "reference"),
         shadow_rays=lit and settings.shadows != "none",
         shadow_bits=lit and settings.shadows != "none" and not shadow_maps and not blended and len(scene.lights) <= 32,
         visibility=visibility,

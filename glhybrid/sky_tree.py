@@ -1,4 +1,4 @@
-"""An environment as a quadtree of light: what glsl/passes/prefilter.comp sums its lobes from. No OpenGL.
+"""An environment as a quadtree of light: what glsl/passes/sky_prefilter.comp sums its lobes from. No OpenGL.
 
 Chosen: a deterministic sum over nodes as fine as the lobe asks for. Rejected: 256 samples of the lobe with blurred
 texels (Karis 2013; Colbert & Krivanek 2007), which was 5 to 50 % off under a low sun, and far more beside bright lamps.

@@ -5,7 +5,7 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from glhybrid import layout, sky_cache, sky_tree
+from glhybrid import content_cache, layout, sky_tree
 from glhybrid.context import Context
 from glhybrid.needs import Features
 from glhybrid.scene import F32, Environment
@@ -22,7 +22,7 @@ class Sky:
             size = layout.DFG_SIZE
             dfg = self.resources["dfg"] = gl.texture((size, size), 4, dtype="f2")
             dfg.repeat_x = dfg.repeat_y = False
-            shaders.compute("dfg", features).dispatch({"out_dfg": dfg}, (size, size))
+            shaders.compute("sky_dfg", features).dispatch({"out_dfg": dfg}, (size, size))
         if environment is None or not features.environment:
             return
         if not features.environment_map:
@@ -32,20 +32,22 @@ class Sky:
         height, width = radiance.shape[:2]
         exact = self.resources["environment_map"] = gl.texture((width, height), 4, _rgba(radiance), dtype="f4")
         exact.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        if not features.blurred_sky:
+            return
         sizes = layout.PREFILTER_SIZES
         rough = self._atlas(context, sum(s + 2 for s in sizes), max(sizes) + 2)
         diffuse = self._atlas(context, layout.IRRADIANCE_SIZE + 2, layout.IRRADIANCE_SIZE + 2)
         self.resources["environment_rough"], self.resources["environment_diffuse"] = rough, diffuse
-        program = shaders.compute("prefilter", features)
-        made_by = shaders.text("prefilter"), bytes([sky_tree.VERSION]), str(context.device).encode()
-        name = sky_cache.key(radiance.tobytes(), *made_by)
+        program = shaders.compute("sky_prefilter", features)
+        made_by = shaders.text("sky_prefilter"), bytes([sky_tree.VERSION]), str(context.device).encode()
+        name = content_cache.key(radiance.tobytes(), *made_by)
         bytes_rough, bytes_diffuse = 8 * rough.width * rough.height, 8 * diffuse.width * diffuse.height
-        if kept := sky_cache.read(name, bytes_rough + bytes_diffuse):
+        if kept := content_cache.read("sky", name, bytes_rough + bytes_diffuse):
             rough.write(kept[:bytes_rough])
             diffuse.write(kept[bytes_rough:])
         else:
             _convolve(context, program, radiance, rough, diffuse)
-            sky_cache.write(name, rough.read() + diffuse.read())
+            content_cache.write("sky", name, rough.read() + diffuse.read())
 
     @staticmethod
     def _atlas(context: Context, width: int, height: int) -> moderngl.Texture:

@@ -141,6 +141,13 @@ def test_no_environment_no_map(renderer: gh.Renderer) -> None:
     assert "environment_map" in mapped.read and mapped.plan["image_bytes"] > constant.plan["image_bytes"]
 
 
+def test_the_reference_convolves_no_sky(renderer: gh.Renderer) -> None:
+    varied = Environment(np.random.default_rng(0).uniform(0, 1, (8, 16, 3)).astype(np.float32))
+    ran = Ran(renderer, scene(sky=varied), reflections="reference", samples=1)
+    assert "environment_map" in ran.read and not any(p.startswith("sky") for p in ran.programs)
+    assert not {"environment_rough", "environment_diffuse", "dfg"} & set(ran.resources)
+
+
 def test_one_level_where_nothing_repeats(renderer: gh.Renderer) -> None:
     flat = Ran(renderer, scene())
     assert flat.plan["levels"] == 1 and not flat.names("two_level")

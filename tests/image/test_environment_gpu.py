@@ -10,7 +10,7 @@ from compare import relative
 from mitsuba_client import sky_radiance
 from scene_kit import camera_rays, constant_sky, floor, matte, plastic, scene
 
-from glhybrid import layout, sky_cache
+from glhybrid import content_cache, layout
 from glhybrid.load.environment import read_environment
 from glhybrid.scene import Camera, Environment, Sphere
 from glhybrid.settings import Settings
@@ -152,8 +152,8 @@ def skies(models: Path) -> dict[str, Environment]:
 @pytest.fixture
 def no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
     """Convolutions are made here and now."""
-    monkeypatch.setattr(sky_cache, "read", lambda *_: None)
-    monkeypatch.setattr(sky_cache, "write", lambda *_: None)
+    monkeypatch.setattr(content_cache, "read", lambda *_: None)
+    monkeypatch.setattr(content_cache, "write", lambda *_: None)
 
 
 @pytest.mark.usefixtures("no_cache")

@@ -1,4 +1,4 @@
-// passes/prefilter.comp -- the environment convolved once: GGX lobes of growing roughness, and the cosine.
+// passes/sky_prefilter.comp -- the environment convolved once: GGX lobes of growing roughness, and the cosine.
 // Karis (2013) with n = v = r, but summed, not sampled: the sky is a quadtree (glhybrid/sky_tree.py), and a node is taken
 // whole, at its centre of light, where the lobe hardly changes across it, as Barnes & Hut (1986) sum gravity.
 #include "layout.glsl"

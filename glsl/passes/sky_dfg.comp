@@ -1,4 +1,4 @@
-// passes/dfg.comp -- the split-sum table: albedo of the specular lobe as F0 * scale + F90 * bias, over (NoV, roughness).
+// passes/sky_dfg.comp -- the split-sum table: albedo of the specular lobe as F0 * scale + F90 * bias, over (NoV, roughness).
 // Karis, "Real Shading in Unreal Engine 4" (2013), with visible-normal sampling and the separable Smith term.
 #include "lib/brdf.glsl"
 #include "layout.glsl"
