@@ -49,6 +49,7 @@ class GpuScene:
         self.resources: dict[str, Any] = {}
         self.draw_records: list[tuple[tuple[int, int], list[tuple[int, int, int, int]]]] = []
         self._world: F64 = geometry.world_from_object
+        self._inverse: F64 | None = None  # (I, 3, 3) of the linear part of _world
         self._previous: F64 | None = None
         self._bounds = np.array([m.blas.bounds for m in geometry.meshes]).reshape(-1, 2, 3)
         self._depth = [m.blas.depth for m in geometry.meshes]
@@ -122,18 +123,22 @@ class GpuScene:
 
     def rebase(self, origin: F64) -> None:
         """Moves the world so that `origin` (3,) float64 is zero, and uploads what that changes: matrices and lights."""
-        if self._origin is not None and np.array_equal(origin, self._origin):
+        if origin is self._origin or (self._origin is not None and np.array_equal(origin, self._origin)):
             return
-        self._origin = origin.copy()
-        poses = self._world.copy()
+        self._origin = origin
         if self._previous is not None:
             before = self._previous.copy()
             before[:, :3, 3] -= origin
             self.resources["PreviousInstances"].write(layout.columns(before[:, :3]))
-        if len(poses):
-            poses[:, :3, 3] -= origin
-            self._instances["world_from_object"] = layout.columns(poses[:, :3])
-            self._instances["object_from_world"] = layout.columns(np.linalg.inv(poses)[:, :3])
+        if len(self._world):
+            inverse = self._inverse
+            if inverse is None:  # of what a translation leaves alone
+                inverse = self._inverse = np.asarray(np.linalg.inv(self._world[:, :3, :3]))
+                self._instances["world_from_object"][:, :3, :3] = self._world[:, :3, :3].swapaxes(1, 2)
+                self._instances["object_from_world"][:, :3, :3] = inverse.swapaxes(1, 2)
+            position = self._world[:, :3, 3] - origin
+            self._instances["world_from_object"][:, 3, :3] = position
+            self._instances["object_from_world"][:, 3, :3] = -np.einsum("iab,ib->ia", inverse, position)
         self.resources["Instances"].write(self._instances)
         if self.lights:
             self.resources["Lights"].write(light_rows(self.lights, origin))
@@ -150,7 +155,7 @@ class GpuScene:
         self._origin = None
         if not len(geometry.instance_id):
             return
-        self._world = moment.world_from_object[geometry.instance_id]
+        self._world, self._inverse = moment.world_from_object[geometry.instance_id], None
         for mesh, tree in trees.items():
             self._bounds[mesh] = tree.bounds
             ours = geometry.instance_mesh == mesh

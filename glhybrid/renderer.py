@@ -6,8 +6,9 @@ from typing import Any, Self
 
 import numpy as np
 
-from glhybrid import __version__, deform, geometry, layout, motion, plan, pose
+from glhybrid import __version__, deform, geometry, motion, plan, pose
 from glhybrid.context import Context, open_context
+from glhybrid.frame_constants import FrameConstants
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.image import Frame, check_aovs
 from glhybrid.mover import Mover
@@ -152,10 +153,9 @@ class Staged:
             shadow_bits=features.shadow_bits and not empty,
         )
         self.features, self.empty = features, empty
-        self.frame_buffer = context.gl.buffer(reserve=layout.dtype("FrameConstants").itemsize)
-        self.constants = np.zeros(1, layout.dtype("FrameConstants"))
+        self.constants = FrameConstants(context, scene, settings)
         self.sky = Sky(context, shaders, scene.environment, features)
-        upload.resources.update(self.sky.resources, Frame=self.frame_buffer)
+        upload.resources.update(self.sky.resources, Frame=self.constants.buffer)
         self.targets = Targets(context, size)
         self._flipped = upload.flipped
         self.gbuffer = self._make_gbuffer()
@@ -169,9 +169,8 @@ class Staged:
         reference = settings.reflections == "reference" and not empty  # without a tree there is only the background
         self.reference = Reference(context, shaders, upload, features) if reference else None
         self.composite = Composite(shaders, upload, features) if not reference else None
-        self.display = Display(context, shaders, self.frame_buffer)
+        self.display = Display(context, shaders, self.constants.buffer)
         self._aov = Aov(shaders, upload, features)
-        self._previous: tuple[Any, Any] | None = None
         self._ids: Any = None
 
     def fits(self, scene: Scene, settings: Settings, size: tuple[int, int], aovs: tuple[str, ...]) -> bool:
@@ -221,33 +220,14 @@ class Staged:
         self.upload.rebase(view.origin)
         if isinstance(self.shadow, ShadowMap):
             self.shadow.look(view, self.bounds if self.mover is not None else None)
-        c, s = self.constants[0], self.settings
-        clip = view.clip_from_world
-        before = clip if self._previous is None else self._previous[0] @ _translation(view.origin - self._previous[1])
-        self._previous = (clip, view.origin)
+        self.constants.look(view, len(self.upload.lights))
         grid_min, grid_step = self.upload.top_grid(view.origin)
-        angle = self.scene.environment.rotation if self.scene.environment else 0.0
-        values: dict[str, Any] = {
-            "clip_from_world": layout.columns(clip), "previous_clip_from_world": layout.columns(before),
-            "eye_ws": view.eye, "pixel_angle": view.pixel_angle, "right_ws": view.right, "up_ws": view.up,
-            "forward_ws": view.forward, "orthographic": view.orthographic, "near": view.camera.near, "seed": s.seed,
-            "size_px": view.size, "light_first": 0, "light_end": len(self.upload.lights),
-            "light_count": len(self.upload.lights), "bounces": s.bounces,
-            "exposure_ev": 0.0 if s.exposure == "auto" else s.exposure, "auto_exposure": s.exposure == "auto",
-            "mirror_cutoff": s.parameter("reflections.ray-lerp.cutoff"),
-            "tone_map": layout.CONSTANTS[f"TONE_{s.tone.upper().replace('-', '_')}"],
-            "environment_x": (np.cos(angle), 0, -np.sin(angle)), "environment_z": (np.sin(angle), 0, np.cos(angle)),
-            "environment_intensity": self.scene.environment.intensity if self.scene.environment else 0.0,
-            "top_root": self.upload.top_root, "top_grid_min": grid_min, "top_grid_step": grid_step,
-        }  # fmt: skip
-        for name, value in values.items():
-            c[name] = value
+        self.constants.put(top_root=self.upload.top_root, top_grid_min=grid_min, top_grid_step=grid_step)
 
     def set(self, **values: Any) -> None:
         """Changes frame constants and uploads them."""
-        for name, value in values.items():
-            self.constants[0][name] = value
-        self.frame_buffer.write(self.constants)
+        self.constants.put(**values)
+        self.constants.upload()
 
     def frame(self, timing: Timing) -> Any:
         """Kim's frame: what is seen, what light reaches it, what it reflects, together. Returns linear radiance."""
@@ -339,7 +319,7 @@ class Staged:
                 "passes": list(self.plan.passes), "programs": self.shaders.names, "primary": self.plan.primary,
                 "levels": self.upload.geometry.levels, "reasons": list(self.plan.reasons),
                 "image_bytes": self.targets.bytes + self.sky.bytes + self.upload.image_bytes + self._map_bytes(),
-                "buffer_bytes": self.upload.buffer_bytes + self.frame_buffer.size
+                "buffer_bytes": self.upload.buffer_bytes + self.constants.buffer.size
                 + (self.mover.bytes if self.mover is not None else 0),
                 "skipped": list(self.plan.skipped),
             },
@@ -358,7 +338,7 @@ class Staged:
         for owner in (self.gbuffer, self.display, self.sky, self.reference, maps):
             if owner is not None:
                 owner.release()
-        self.frame_buffer.release()
+        self.constants.release()
         if not keep_upload:
             if self.mover is not None:
                 self.mover.release()
@@ -370,12 +350,6 @@ def _jitter(i: int, count: int) -> tuple[float, float]:
     if count == 1:
         return 0.0, 0.0
     return (i + 0.5) / count - 0.5, (i * 0.61803398875 + 0.5) % 1.0 - 0.5
-
-
-def _translation(offset: np.ndarray) -> np.ndarray:
-    matrix = np.eye(4)
-    matrix[:3, 3] = offset
-    return matrix
 
 
 def _flip(image: Any) -> np.ndarray:

@@ -176,7 +176,7 @@ def test_points_rebuilt_from_depth_shadow_themselves(renderer: gh.Renderer, cont
                 program = shaders.compute("depth_shadow", staged.features, folder="probes")
                 far = {"depth_far": 1000.0, "depth_levels": 2.0**24 if bits == 24 else 0.0}
                 ids = staged.targets.get("gbuffer_id")
-                staged.constants[0]["near"] = 0.01
+                staged.constants.put(near=0.01)
                 staged.set(jitter_px=(0, 0))
                 program.dispatch(
                     {**staged.upload.resources, "gbuffer_id": ids, "out_visibility": image, **far}, (48, 36)

@@ -70,7 +70,7 @@ def reference_batches(
     total, square = np.zeros((size[1], size[0], 3)), np.zeros((size[1], size[0], 3))
     timing = Timing(renderer.context.gl.finish)
     for seed in range(batches):
-        staged.constants[0]["seed"] = 7919 * settings.seed + seed
+        staged.constants.put(seed=7919 * settings.seed + seed)
         image = staged.reference.run(staged.targets, staged, timing, None)
         values = np.frombuffer(image.read(), np.float32).reshape(size[1], size[0], 4)[::-1, :, :3].astype(np.float64)
         total += values

@@ -1,0 +1,79 @@
+"""FrameConstants on the host: one block, written in place and uploaded whole, so that a frame makes no objects.
+
+Assigning to a field of a NumPy record costs a microsecond and more; views on the fields, made once, cost a fraction.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from glhybrid import layout
+from glhybrid.context import Context
+from glhybrid.scene import F64, Scene
+from glhybrid.settings import Settings
+from glhybrid.view import View
+
+
+class FrameConstants:
+    """Owns the storage block "Frame". rows: (1,) of layout FrameConstants, what the next upload writes."""
+
+    def __init__(self, context: Context, scene: Scene, settings: Settings) -> None:
+        self.rows = np.zeros(1, layout.dtype("FrameConstants"))
+        self.buffer = context.gl.buffer(reserve=self.rows.nbytes)
+        # reshape: a scalar's view is an array of one, which can be written to.
+        self._views = {
+            name: self.rows[name][0] if self.rows[name].ndim > 1 else self.rows[name]
+            for name in self.rows.dtype.names or ()
+        }
+        self._view: View | None = None
+        self._previous: tuple[F64, F64] | None = None
+        angle = scene.environment.rotation if scene.environment else 0.0
+        auto = settings.exposure == "auto"
+        self.put(
+            seed=settings.seed, bounces=settings.bounces, exposure_ev=0.0 if auto else settings.exposure,
+            auto_exposure=auto, mirror_cutoff=settings.parameter("reflections.ray-lerp.cutoff"),
+            tone_map=layout.CONSTANTS[f"TONE_{settings.tone.upper().replace('-', '_')}"],
+            environment_x=(np.cos(angle), 0, -np.sin(angle)), environment_z=(np.sin(angle), 0, np.cos(angle)),
+            environment_intensity=scene.environment.intensity if scene.environment else 0.0,
+        )  # fmt: skip
+
+    def put(self, **values: Any) -> None:
+        """Changes fields; upload() sends them."""
+        views = self._views
+        for name, value in values.items():
+            views[name][...] = value
+
+    def upload(self) -> None:
+        self.buffer.write(self.rows)
+
+    def look(self, view: View, light_count: int) -> None:
+        """The fields of a camera, and where the one before was: in this frame's world, whose origin may be another."""
+        clip, previous = view.clip_from_world, self._previous
+        views = self._views
+        if previous is None:
+            before = clip
+        elif previous[1] is view.origin:
+            before = previous[0]
+        else:
+            before = previous[0].copy()
+            before[:, 3] += previous[0][:, :3] @ (view.origin - previous[1])
+        views["previous_clip_from_world"][...] = before.T  # columns first, as GLSL has it
+        self._previous = (clip, view.origin)
+        self.put(light_first=0, light_end=light_count, light_count=light_count)
+        if self._view is view:
+            return
+        self._view = view
+        views["clip_from_world"][...] = clip.T
+        views["eye_ws"][...] = view.eye
+        views["right_ws"][...] = view.right
+        views["up_ws"][...] = view.up
+        views["forward_ws"][...] = view.forward
+        self.put(
+            pixel_angle=view.pixel_angle,
+            orthographic=view.orthographic,
+            near=view.camera.near,
+            size_px=view.size,
+        )
+
+    def release(self) -> None:
+        self.buffer.release()
