@@ -27,6 +27,10 @@ class FrameConstants:
         }
         self._view: View | None = None
         self._previous: tuple[F64, F64] | None = None
+        self.under(scene, settings)
+
+    def under(self, scene: Scene, settings: Settings) -> None:
+        """The fields of settings and environment."""
         angle = scene.environment.rotation if scene.environment else 0.0
         auto = settings.exposure == "auto"
         self.put(

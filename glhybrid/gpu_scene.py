@@ -143,6 +143,11 @@ class GpuScene:
         if self.lights:
             self.resources["Lights"].write(light_rows(self.lights, origin))
 
+    def relight(self, lights: tuple[Light, ...]) -> None:
+        """Other lights, as many as before; the next rebase uploads them."""
+        if self.lights and lights != self.lights:
+            self.lights, self._origin = lights, None
+
     def move(self, moment: Moment, trees: dict[int, MovedTree]) -> None:
         """Everything where a moment has it: instances, lights, the top-level tree. The next rebase uploads matrices.
 

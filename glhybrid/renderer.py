@@ -1,7 +1,8 @@
 """The renderer: one frame, top to bottom. Owns every GL object; close() frees them."""
 
+import dataclasses
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Self
 
 import numpy as np
@@ -29,20 +30,26 @@ from glhybrid.timing import Timing
 from glhybrid.view import View, choose_camera, make_view
 
 Progress = Callable[[str, int, int], None]
+INTERACTIVE_STAGINGS = 3  # two techniques side by side, and the reference
+# Settings that change numbers of a frame only, with a value for all.
+LIVE: dict[str, Any] = {"exposure": 0.0, "tone": "none", "aa": None, "bounces": 0, "seed": 0}
+LIT_AHEAD = {"baked", "probe"}  # techniques that hold light from when they were staged
 
 
 class Renderer:
     """Renders scenes on one device.
 
     device: auto, gpu, software, egl:N, cuda:N or osmesa. A scene's trees, buffers and programs are kept for the next
-    frame of the same scene. Raises DeviceError where there is no usable OpenGL 4.3.
+    frame of the same scene. interactive: several settings are kept ready at once, and images of two sizes.
+    Raises DeviceError where there is no usable OpenGL 4.3.
     """
 
-    def __init__(self, device: str = "auto", context: Context | None = None) -> None:
+    def __init__(self, device: str = "auto", context: Context | None = None, interactive: bool = False) -> None:
         self._owns_context = context is None
         self.context = context or open_context(device)
         self.shaders = Shaders(self.context)
-        self._staged: Staged | None = None
+        self._most = INTERACTIVE_STAGINGS if interactive else 1
+        self._stagings: list[Staged] = []  # the last one was used last
 
     def render(
         self,
@@ -78,24 +85,48 @@ class Renderer:
         return Frame(np.ascontiguousarray(rgb), {n: np.ascontiguousarray(a) for n, a in arrays.items()}, receipt)
 
     def stage(self, scene: Scene, settings: Settings, size: tuple[int, int], aovs: tuple[str, ...] = ()) -> "Staged":
-        """Everything a scene needs on the GPU under these settings; kept until one of them changes."""
-        current = self._staged
-        if current is not None and current.fits(scene, settings, size, aovs):
-            return current
-        kept = None
-        if current is not None:
-            if current.shares_upload(scene, settings):
-                kept = current.upload, current.mover
-            current.release(keep_upload=kept is not None)
-            self._staged = None
-        self._staged = Staged(self.context, self.shaders, scene, settings, size, aovs, kept)
-        return self._staged
+        """Everything a scene needs on the GPU under these settings; kept until one of them changes.
+
+        Another size changes images alone. So do other lights and another turn of the environment change only numbers:
+        a scene that differs from a staged one in these (Scene.replace) is not staged anew.
+        """
+        for staged in reversed(self._stagings):
+            if staged.fits(scene, settings, aovs):
+                self._stagings.remove(staged)
+                self._stagings.append(staged)
+                staged.resume(scene, settings, size, spare=self._most > 1)
+                return staged
+        shared = next((s for s in reversed(self._stagings) if s.shares_upload(scene, settings)), None)
+        self._drop(self._most - 1, shared.upload if shared else None)
+        kept = (shared.upload, shared.mover) if shared else None
+        staged = Staged(self.context, self.shaders, scene, settings, size, aovs, kept)
+        self._stagings.append(staged)
+        return staged
+
+    @property
+    def _staged(self) -> "Staged | None":
+        return self._stagings[-1] if self._stagings else None
+
+    def _drop(self, most: int, wanted: GpuScene | None = None) -> None:
+        """Frees the stagings that were not used for longest, and uploads that no other one uses or is to use."""
+        while len(self._stagings) > most:
+            old = self._stagings.pop(0)
+            old.release(keep_upload=old.upload is wanted or any(s.upload is old.upload for s in self._stagings))
+
+    def reload_shaders(self) -> int:
+        """Compiles programs anew whose files have changed; returns how many. What is on the GPU of scenes stays.
+
+        Raises ShaderError where one does not compile; then all programs are as they were.
+        """
+        compiled = self.shaders.recompile()
+        for staged in self._stagings if compiled else ():
+            staged.stale = True
+        self.shaders.replace(compiled)
+        return len(compiled)
 
     def close(self) -> None:
         """Frees everything. Twice is harmless."""
-        if self._staged is not None:
-            self._staged.release()
-            self._staged = None
+        self._drop(0)
         self.shaders.release()
         if self._owns_context:
             self.context.close()
@@ -136,6 +167,7 @@ class Staged:
             )  # fmt: skip
             upload = GpuScene(context, scene, data, features, moving)
         self.upload = upload
+        others = dict(upload.resources)
         if moving is not None and self.mover is None:
             self.mover = Mover(context, shaders, upload, moving, features, settings.rebuild)
         self.bounds = moving.bounds if moving is not None else scene.bounds()
@@ -172,19 +204,57 @@ class Staged:
         self.display = Display(context, shaders, self.constants.buffer)
         self._aov = Aov(shaders, upload, features)
         self._ids: Any = None
+        self._spare: Targets | None = None
+        self._own = {name: given for name, given in upload.resources.items() if others.get(name) is not given}
+        self._staged_lights = (self.mover.motion.scene if self.mover is not None else self.scene).lights
+        self.stale = False  # shaders were changed
+        self._relight()
 
-    def fits(self, scene: Scene, settings: Settings, size: tuple[int, int], aovs: tuple[str, ...]) -> bool:
-        if scene is not self.scene or self._timeless(settings) != self._timeless(self.settings):
+    def fits(self, scene: Scene, settings: Settings, aovs: tuple[str, ...]) -> bool:
+        if self.stale:
+            return False
+        if settings is not self.settings:
+            ours, theirs = (self._timeless(s).replace(**LIVE) for s in (self.settings, settings))
+            if ours != theirs:
+                return False
+        if scene is not self.scene and ({settings.shadows, settings.reflections} & LIT_AHEAD or not self._like(scene)):
             return False
         if self.mover is not None and ("motion" in aovs) != self.features.moving:
             return False
-        return size == self.targets.size and ("reason" in aovs) == self.features.reason and not self.outgrown
+        return ("reason" in aovs) == self.features.reason and not self.outgrown
 
     def shares_upload(self, scene: Scene, settings: Settings) -> bool:
         """Whether trees, buffers and what moves them serve these settings too."""
         names = ("time", "clip", "levels", "rebuild")
         ours, theirs = ([getattr(self._timeless(s), name) for name in names] for s in (self.settings, settings))
-        return scene is self.scene and ours == theirs
+        return self._like(scene) and ours == theirs
+
+    def _like(self, scene: Scene) -> bool:
+        """Whether a scene differs at most in numbers of its lights and of its environment."""
+        return scene is self.scene or differs_in_numbers(scene, self.scene)
+
+    def resume(self, scene: Scene, settings: Settings, size: tuple[int, int], spare: bool = False) -> None:
+        """Readies this staging again after others that share its upload were used. spare: keep images of two sizes."""
+        self.upload.resources.update(self._own)
+        self.scene, self.settings = scene, settings
+        self.constants.under(scene, settings)
+        self._relight()
+        if size == self.targets.size:
+            return
+        other, self._spare, self._ids = self._spare, self.targets, None
+        if other is None or other.size != size:
+            if other is not None:
+                other.release()
+            other = Targets(self.context, size)
+        self.targets = other
+        if not spare:
+            self._spare.release()
+            self._spare = None
+
+    def _relight(self) -> None:
+        """Lights that differ from those that were staged, on the GPU with the next look."""
+        pairs = zip(self.scene.lights, self._staged_lights, self.drawn.lights, strict=True)
+        self.upload.relight(tuple(now if now is not then else drawn for now, then, drawn in pairs))
 
     def _timeless(self, settings: Settings) -> Settings:
         """The settings, but for the time where any time of the clip is as good."""
@@ -205,7 +275,8 @@ class Staged:
         """Everything to the time of the settings, and the view of a camera there."""
         scene = self.drawn
         if self.mover is not None:
-            scene = self.mover.show(settings.time or 0.0)
+            scene = self.drawn = self.mover.show(settings.time or 0.0)
+            self._relight()
             if not np.array_equal(self._flipped, self.upload.flipped):  # the raster's states say who is mirrored
                 self.gbuffer.release()
                 self._flipped, self.gbuffer = self.upload.flipped, self._make_gbuffer()
@@ -247,18 +318,27 @@ class Staged:
 
     def accumulate(self, timing: Timing, progress: Progress | None, started: float) -> Any:
         """All samples of one picture -> radiance. The centre of the pixel comes last if data was asked for."""
+        radiance = None
+        name = "samples" if self.reference is not None else "frames"
+        for done, total, radiance in self.refine(timing):  # noqa: B007
+            if progress is not None:
+                progress(name, done, total)
+        return radiance
+
+    def refine(self, timing: Timing) -> Iterator[tuple[int, int, Any]]:
+        """(samples done, of how many, radiance) after each step of one picture. What is in between may be shown."""
+        self._ids = None
         if self.reference is not None:
             self.set(jitter_px=(0, 0))
             self._ids = self.gbuffer.run(self.targets)
-            return self.reference.run(self.targets, self, timing, progress)
+            for done, radiance in self.reference.steps(self.targets, self, timing):
+                yield done, self.settings.samples, radiance
+            return
         count = self.settings.aa or 4
-        radiance = None
         for i in range(count):
+            self._ids = None  # the pass images are of this sample's rays from here on
             self.set(jitter_px=_jitter(i, count), accumulate=i / (i + 1))
-            radiance = self.frame(timing)
-            if progress is not None:
-                progress("frames", i + 1, count)
-        return radiance
+            yield i + 1, count, self.frame(timing)
 
     def aov(self, name: str, view: View) -> np.ndarray:
         """One AOV at the pixel centres, (H, W, ...), row 0 at the top."""
@@ -334,6 +414,8 @@ class Staged:
 
     def release(self, keep_upload: bool = False) -> None:
         self.targets.release()
+        if self._spare is not None:
+            self._spare.release()
         maps = self.shadow if isinstance(self.shadow, ShadowMap) else None
         for owner in (self.gbuffer, self.display, self.sky, self.reference, maps):
             if owner is not None:
@@ -350,6 +432,26 @@ def _jitter(i: int, count: int) -> tuple[float, float]:
     if count == 1:
         return 0.0, 0.0
     return (i + 0.5) / count - 0.5, (i * 0.61803398875 + 0.5) % 1.0 - 0.5
+
+
+def differs_in_numbers(a: Scene, b: Scene) -> bool:
+    """Whether two scenes are the same but for numbers of lights, and the turn and intensity of the environment."""
+    for field in dataclasses.fields(Scene):
+        if field.name not in ("lights", "environment") and getattr(a, field.name) is not getattr(b, field.name):
+            return False
+    if len(a.lights) != len(b.lights) or (a.environment is None) != (b.environment is None):
+        return False
+    if a.environment is not None and b.environment is not None:
+        if a.environment.radiance is not b.environment.radiance:
+            return False
+        if (a.environment.intensity > 0) != (b.environment.intensity > 0):
+            return False
+    return all(
+        p is q
+        or (p.kind, p.node, p.radius > 0, p.angular_diameter > 0)
+        == (q.kind, q.node, q.radius > 0, q.angular_diameter > 0)
+        for p, q in zip(a.lights, b.lights, strict=True)
+    )
 
 
 def _flip(image: Any) -> np.ndarray:

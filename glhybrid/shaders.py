@@ -161,10 +161,16 @@ class Shaders:
         self._folders = (data_folder("glsl"), *extra)
         self._sources: dict[str, Source] = {}
         self._programs: dict[tuple[str, ...], Program] = {}
+        self._made: dict[tuple[str, ...], tuple[tuple[str, ...], Features]] = {}  # from which files
+        self._retired: list[Program] = []
+        self._stamps: dict[Path, tuple[int, int]] = {}
+        self._unread: set[Path] = set()  # changed, and not in use yet because something did not compile
 
     def _source(self, path: str, features: Features) -> tuple[Source, str, dict[str, int]]:
         if path not in self._sources:
             self._sources[path] = Source(self._folders, path)
+            for name in self._sources[path].files:
+                self._stamps.setdefault(self._file(name), _stamp(self._file(name)))
         source = self._sources[path]
         text, named = source.specialise(features)
         if folder := os.environ.get("GLHYBRID_DUMP_SHADERS"):
@@ -176,6 +182,7 @@ class Shaders:
         """glsl/passes/STEM.comp for these features, compiled at first use."""
         source, text, named = self._source(f"{folder}/{stem}.comp", features)
         key = (stem, folder, _label(named))
+        self._made[key] = (source.path,), features
         if key not in self._programs:
             name = f"{stem} {_label(named)}".strip()
             self._programs[key] = self._link(name, (source,), lambda: self._context.gl.compute_shader(text))
@@ -191,6 +198,7 @@ class Shaders:
         fragment, fragment_text, fragment_named = self._source(f"passes/{stem}.frag", features)
         named = vertex_named | fragment_named
         key = (stem, "raster", _label(named))
+        self._made[key] = (vertex.path, fragment.path), features
         if key not in self._programs:
             name = f"{stem} {_label(named)}".strip()
             make = lambda: self._context.gl.program(vertex_shader=vertex_text, fragment_shader=fragment_text)  # noqa: E731
@@ -206,15 +214,63 @@ class Shaders:
                 log = source.readable(log)
             raise ShaderError(f"{name}: does not compile on {self._context.device}:\n{log}") from None
 
+    def _file(self, name: str) -> Path:
+        return next((f / name for f in self._folders if (f / name).is_file()), self._folders[0] / name)
+
+    def changed(self) -> list[Path]:
+        """Files of programs in use that were written since they were read."""
+        return [path for path, stamp in self._stamps.items() if _stamp(path) != stamp]
+
+    def recompile(self) -> dict[tuple[str, ...], Program]:
+        """Programs anew, by key, of files that have changed; none of them is in use yet.
+
+        Raises ShaderError, with nothing changed but that the same files count as read, if one does not compile.
+        """
+        if not (changed := set(self.changed())):
+            return {}
+        written = self._unread = self._unread | changed
+        self._stamps = {path: _stamp(path) for path in self._stamps}
+        stale = {p for p, s in self._sources.items() if written & {self._file(name) for name in s.files}}
+        old, self._sources = self._sources, {p: s for p, s in self._sources.items() if p not in stale}
+        in_use, self._programs = self._programs, {}
+        try:
+            for key in [k for k in in_use if stale & set(self._made[k][0])]:
+                features = self._made[key][1]
+                self.raster(key[0], features) if key[1] == "raster" else self.compute(key[0], features, key[1])
+            self._unread = set()
+            return self._programs
+        except ShaderError:
+            for program in self._programs.values():
+                program.program.release()
+            self._sources = old | {p: s for p, s in self._sources.items() if p not in stale}
+            raise
+        finally:
+            self._programs = in_use
+
+    def replace(self, programs: Mapping[tuple[str, ...], Program]) -> None:
+        """Takes programs that recompile() made. Those that they replace live on until release(): passes hold them."""
+        self._retired += [self._programs[key] for key in programs if key in self._programs]
+        self._programs |= programs
+
     @property
     def names(self) -> list[str]:
         """Programs compiled so far, each with its features."""
         return sorted(p.name for p in self._programs.values())
 
     def release(self) -> None:
-        for program in self._programs.values():
+        for program in (*self._programs.values(), *self._retired):
             program.program.release()
         self._programs.clear()
+        self._retired.clear()
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    """What changes when a file is written; (0, 0) where there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return 0, 0
+    return found.st_mtime_ns, found.st_size
 
 
 def _label(named: Mapping[str, int]) -> str:

@@ -1,5 +1,6 @@
 """The progressive path tracer: what all techniques are held against."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,14 @@ class Reference:
 
     def run(self, targets: Targets, staged: Any, timing: Any, progress: Any) -> Any:
         """Averages settings.samples paths a pixel -> radiance."""
+        radiance = targets.get("radiance")
+        for done, _ in self.steps(targets, staged, timing):
+            if progress is not None:
+                progress("samples", done, staged.settings.samples)
+        return radiance
+
+    def steps(self, targets: Targets, staged: Any, timing: Any) -> Iterator[tuple[int, Any]]:
+        """(paths a pixel so far, radiance) after each dispatch, until settings.samples are averaged."""
         settings = staged.settings
         radiance = targets.get("radiance")
         resources = {**self._resources, "radiance": radiance}
@@ -55,9 +64,7 @@ class Reference:
             timing.frame()
             timing.run("reference", lambda: self._program.dispatch(resources, targets.size))
             done += count
-            if progress is not None:
-                progress("samples", done, settings.samples)
-        return radiance
+            yield done, radiance
 
     def release(self) -> None:
         for owned in self._owned:
