@@ -273,11 +273,15 @@ def bench(
 
 
 @app.command
-def scenes(*, json: Annotated[bool, Parameter(help="Print a JSON array.")] = False) -> int:
+def scenes(
+    *,
+    failures: Annotated[bool, Parameter(help="The failure library instead: scenes that break one technique.")] = False,
+    json: Annotated[bool, Parameter(help="Print a JSON array.")] = False,
+) -> int:
     """List the built-in scenes."""
-    from glhybrid.load.builtin import scenes as builtin_scenes
+    from glhybrid.load import builtin
 
-    found = builtin_scenes()
+    found = builtin.failures() if failures else builtin.scenes()
     if json:
         _print_json([{"name": s.name, "description": s.description, "path": str(s.path)} for s in found])
     else:

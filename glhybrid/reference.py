@@ -5,7 +5,7 @@
   float32, operation by operation what glsl/lib does, with counts of nodes and triangles. The float32 form is the
   specification of the shader, and of what its watertightness rests on.
 - `binned_sah`: a plain full binned-SAH build on float boxes, the measure for `bvh.build`.
-Kernels compile on first use (seconds, once per machine), so nothing at run time may import this module.
+Kernels compile on first use (seconds, once per machine), so only tests and the study import this module.
 """
 
 from collections.abc import Callable

@@ -287,6 +287,38 @@ class Animation:
 
 
 @dataclass(frozen=True, eq=False)
+class Expectation:
+    """What one technique is expected to do on a scene of the failure library.
+
+    settings: those that make the technique, `shadows` or `reflections` or `ao` first. control: instead of them, a
+    method on the CPU that no technique uses (study/controls.py). low, high: the range of the measure, in its unit.
+    """
+
+    fails: bool
+    low: float
+    high: float
+    settings: dict[str, object] = field(default_factory=dict)
+    control: str = ""
+    because: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """The [study] table of a scene file: a known failure, its measure, and who is expected to fail it or to hold.
+
+    settings: of every technique here. options: of the measure. size: pixels, 0 = whatever the study draws.
+    """
+
+    title: str
+    why: str = ""
+    measure: str = ""
+    size: tuple[int, int] = (0, 0)
+    settings: dict[str, object] = field(default_factory=dict)
+    options: dict[str, object] = field(default_factory=dict)
+    expectations: tuple[Expectation, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
 class Scene:
     """Everything a file holds. warnings: what was dropped or changed on load, one sentence each, naming the thing."""
 
@@ -303,7 +335,7 @@ class Scene:
     path: Path | None = None
     sha256: str = ""
     warnings: tuple[str, ...] = ()
-    study: dict[str, object] = field(default_factory=dict)
+    study: Study | None = None
 
     replace = replace
 

@@ -68,7 +68,7 @@ def _find(source: str | Path) -> Path:
             return found
         if path.is_dir():
             raise LoadError(f"{path}: is a folder; name the model in it ({', '.join(SUFFIXES)})")
-        if path.suffix or path.exists() or len(path.parts) > 1:
+        if path.suffix or path.exists() or (len(path.parts) > 1 and path.parts[0] != "failures"):
             what = f'"{path.suffix}" files' if path.suffix else "a file without suffix"
             exists = "" if path.exists() else " (nor is there such a file)"
             raise LoadError(f"{path}: cannot read {what}{exists}; supported: {', '.join(SUFFIXES)}")

@@ -39,13 +39,23 @@ def scenes() -> list[BuiltinScene]:
     return found
 
 
+def failures() -> list[BuiltinScene]:
+    """The failure library, by name (`failures/NAME`), described by the titles of its [study] tables."""
+    found = []
+    for path in sorted((data_folder("scenes") / "failures").glob("*.toml")):
+        study = tomllib.loads(path.read_text(encoding="utf-8")).get("study", {})
+        found.append(BuiltinScene(f"failures/{path.stem}", str(study.get("title", "")), path))
+    return found
+
+
 def scene_path(name: str) -> Path | None:
     """The file of a built-in scene, None if there is none of that name."""
-    if not name.replace("-", "").replace("_", "").isalnum():
+    if not name.removeprefix("failures/").replace("-", "").replace("_", "").isalnum():
         return None  # a path, not a name: must not leave the folder
     path = data_folder("scenes") / f"{name}.toml"
     return path if path.is_file() else None
 
 
 def scene_names() -> list[str]:
-    return [path.stem for path in sorted(data_folder("scenes").glob("*.toml"))]
+    folder = data_folder("scenes")
+    return [str(path.relative_to(folder).with_suffix("").as_posix()) for path in sorted(folder.rglob("*.toml"))]

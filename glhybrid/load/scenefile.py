@@ -14,6 +14,7 @@ import numpy as np
 
 from glhybrid.errors import LoadError, unknown
 from glhybrid.load import patterns, sceneparts, shapes, sky
+from glhybrid.load import study as study_table
 from glhybrid.load.require import ShapeError
 from glhybrid.load.tables import LIGHT, NOT_NEGATIVE, NOT_ZERO, PLACE, UNIT, Table, between, parse
 from glhybrid.scene import (
@@ -84,6 +85,7 @@ class _Builder:
         root.finish()
         self.cameras += [sceneparts.camera(name, table) for name, table in cameras]
         sky_box = self._environment(environment) if environment else None
+        described = study_table.read(study) if study else None
         self.lights += [sceneparts.light(table) for table in lights]
         for table in materials:
             self._material(table)
@@ -103,7 +105,7 @@ class _Builder:
             path=self.path,
             sha256=self.digest.hexdigest(),
             warnings=tuple(self.warnings),
-            study=dict(study.values) if study else {},
+            study=described,
         )
 
     def _file(self, table: Table, key: str) -> Path:

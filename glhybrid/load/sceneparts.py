@@ -39,6 +39,9 @@ def camera(name: str, table: Table) -> Camera:
         table.need(key, f"needs {key} = [x, y, z]")
     eye, target = (three(table.vector(key, (0, 0, 0), PLACE)) for key in ("eye", "target"))
     up = three(table.vector("up", (0, 1, 0)))
+    height = table.number("height", 0.0, POSITIVE)
+    if height and "fov_y_deg" in table:
+        table.fail("is of an orthographic camera; give either height or fov_y_deg", "height")
     fov_y = np.radians(table.number("fov_y_deg", 45.0, (lambda x: 0 < x < 180, "must be between 0 and 180")))
     near = table.number("near", 0.01, POSITIVE)
     if eye == target:
@@ -46,7 +49,8 @@ def camera(name: str, table: Table) -> Camera:
     if not any(up):
         table.fail("must not be zero", "up")
     table.finish()
-    return Camera.look_at(eye, target, up, float(fov_y), near, name)
+    made = Camera.look_at(eye, target, up, float(fov_y), near, name)
+    return replace(made, fov_y=0.0, ymag=height / 2) if height else made
 
 
 def light(table: Table) -> Light:

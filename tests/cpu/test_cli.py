@@ -204,6 +204,20 @@ def test_scenes_and_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert code == 0 and out.strip() == glhybrid.__version__
 
 
+def test_the_failure_library_is_listed_and_loads_by_name(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = _run(capsys, "scenes", "--failures", "--json")
+    listed = json.loads(out)
+    assert code == 0 and len(listed) > 10
+    for row in listed:
+        assert row["name"].startswith("failures/") and row["description"]
+        scene = glhybrid.load(row["name"], strict=True)
+        assert scene.study is not None and scene.study.title == row["description"]
+    code, _, err = _run(capsys, "plan", "failures/acme")
+    assert code == 2 and 'unknown built-in scene "failures/acme"; did you mean "failures/acne"?' in err
+    code, _, err = _run(capsys, "plan", "failures/../atrium")
+    assert code == 2
+
+
 def test_progress_waits_a_second_then_draws_by_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERM", "xterm")
 

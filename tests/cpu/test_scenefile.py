@@ -467,8 +467,62 @@ def test_outside_files_are_allowed_when_asked(tmp_path: Path) -> None:
     assert len(scene(inner, text, allow_outside=True).instances) == 1
 
 
-def test_study_table_is_kept(tmp_path: Path) -> None:
-    assert scene(tmp_path, '[study]\nfails = ["ssr"]\nlimit = 3').study == {"fails": ["ssr"], "limit": 3}
+STUDY = """
+[study]
+title = "acne"
+why = "texels"
+measure = "wrong shadow"
+size = [64, 48]
+set = { reflections = "none" }
+[[study.fails]]
+set = { shadows = "map", "shadows.map.slope_bias" = 0 }
+expected = [30, 50]
+because = "half"
+[[study.holds]]
+set = { shadows = "ray" }
+expected = [0, 0.01]
+"""
+
+
+def test_study_table(tmp_path: Path) -> None:
+    study = scene(tmp_path, STUDY).study
+    assert study is not None and (study.title, study.size, study.measure) == ("acne", (64, 48), "wrong shadow")
+    assert study.settings == {"reflections": "none"} and study.options == {}
+    fails, holds = study.expectations
+    assert fails.fails and (fails.low, fails.high, fails.because) == (30, 50, "half")
+    assert fails.settings == {"shadows": "map", "shadows.map.slope_bias": 0}
+    assert not holds.fails and holds.settings == {"shadows": "ray"}
+    assert scene(tmp_path, "").study is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("title", "titel", r'unknown key "titel"; did you mean "title"'),
+        ('why = "texels"', "", "needs why"),
+        ("[64, 48]", "[64, 0]", "size = .*whole and between 1 and 8192"),
+        ("[30, 50]", "[50, 30]", "the lowest value comes first"),
+        ("expected = [30, 50]", "", r"\[\[fails\]\] 1: needs expected"),
+        ("expected = [30, 50]", "expect = [30, 50]", r'unknown key "expect"; did you mean "expected"'),
+        ('because = "half"', "", "needs because"),
+        ('because = "half"', 'because = "half"\nbar = 3', 'unknown key "bar"'),
+        ('set = { shadows = "ray" }', "", "needs either set, .*, or control"),
+        ("[[study", "[[studies", r'unknown key "studies"; did you mean "study"|needs \[\[study.fails\]\]'),
+        ('set = { reflections = "none" }', "set = 3", "set = 3: must be a table"),
+    ],
+)
+def test_study_table_is_read_strictly(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in STUDY
+    with pytest.raises(LoadError, match=message):
+        scene(tmp_path, STUDY.replace(old, new))
+
+
+def test_an_orthographic_camera(tmp_path: Path) -> None:
+    text = "[camera.plan]\neye = [0, 5, 0]\ntarget = [0, 0, 0]\nup = [0, 0, -1]\nheight = 3\n"
+    (camera,) = scene(tmp_path, text).cameras
+    assert camera.fov_y == 0 and camera.ymag == 1.5
+    with pytest.raises(LoadError, match="either height or fov_y_deg"):
+        scene(tmp_path, text + "fov_y_deg = 40")
 
 
 # load() ----------------------------------------------------------------------------------------------------------

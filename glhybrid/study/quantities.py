@@ -1,0 +1,212 @@
+"""The measures of the failure library: from one technique on one scene to a number with a unit.
+
+A measure takes a Subject and the options of the [study] table, its keyword arguments, and returns a Measured.
+"""
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from glhybrid.errors import SettingError, unknown
+from glhybrid.scene import Camera, Study
+from glhybrid.study import metrics
+from glhybrid.study.subject import Measured, Subject, marked
+
+
+@dataclass(frozen=True)
+class Quantity:
+    name: str
+    unit: str
+    meaning: str  # one line
+    measure: Callable[..., Measured]
+
+    def options(self) -> list[str]:
+        return list(inspect.signature(self.measure).parameters)[1:]
+
+
+QUANTITIES: dict[str, Quantity] = {}
+
+
+def quantity(unit: str) -> Callable[[Callable[..., Measured]], Callable[..., Measured]]:
+    """Registers a function under its name, with blanks; its docstring's first line is the meaning."""
+
+    def register(function: Callable[..., Measured]) -> Callable[..., Measured]:
+        name = function.__name__.replace("_", " ")
+        meaning = (inspect.getdoc(function) or "").splitlines()[0]
+        QUANTITIES[name] = Quantity(name, unit, meaning, function)
+        return function
+
+    return register
+
+
+def find(study: Study, where: str) -> Quantity:
+    """The measure that a [study] table names. Raises SettingError for one, or an option of one, that there is not."""
+    if study.measure not in QUANTITIES:
+        raise SettingError(f"{where}: [study]: {unknown('measure', study.measure, QUANTITIES)}")
+    found = QUANTITIES[study.measure]
+    for key in study.options:
+        if key not in found.options():
+            raise SettingError(f"{where}: [study]: options: {unknown('option', key, found.options())}")
+    return found
+
+
+# Shadows ---------------------------------------------------------------------------------------------------------
+
+
+@quantity("%")
+def wrong_shadow(subject: Subject, where: str = "all") -> Measured:
+    """Pixels that face the light and are on the wrong side of one half, all, or outside or inside the true border."""
+    case = subject.case
+    want, counted = case.visibility(), case.truth.facing(case.seen(), case.scene.lights[0])
+    got, picture = subject.visibility()
+    wrong = metrics.wrong_shadow_percent(got, want, counted)
+    return Measured(getattr(wrong, where), marked(picture, counted & (np.abs(got - want) > 0.5)))
+
+
+@quantity("%")
+def false_light(subject: Subject) -> Measured:
+    """Pixels in true shadow that are lit, of those in true shadow that face the light."""
+    case = subject.case
+    counted = case.truth.facing(case.seen(), case.scene.lights[0]) & (case.visibility() == 0)
+    got, picture = subject.visibility()
+    lit = counted & (got > 0.5)
+    return Measured(100 * float(lit.sum()) / max(int(counted.sum()), 1), marked(picture, lit))
+
+
+@quantity("visibility")
+def visibility_error(subject: Subject) -> Measured:
+    """Mean distance of visibility from the truth, over pixels that face the light."""
+    case = subject.case
+    want, counted = case.visibility(), case.truth.facing(case.seen(), case.scene.lights[0])
+    got, picture = subject.visibility()
+    return Measured(metrics.visibility_mae(got, want, counted), marked(picture, counted & (np.abs(got - want) > 0.1)))
+
+
+@quantity("m")
+def light_gap(subject: Subject, contact: list[float]) -> Measured:
+    """How far behind an object's foot light comes in: along the sun's way from a point of contact, flat."""
+    case = subject.case
+    seen, light = case.seen(), case.scene.lights[0]
+    way = np.array([light.direction[0], 0, light.direction[2]])
+    along = (seen.position - contact) @ (way / np.linalg.norm(way))
+    ground = case.truth.facing(seen, light) & (np.abs(seen.position[..., 1] - contact[1]) < 1e-6) & (along > 0)
+    dark = ground & (case.visibility() == 0)
+    got, picture = subject.visibility()
+    lit = dark & (got > 0.5)
+    near = lit & (along < np.min(along[dark & ~lit], initial=np.inf) + 1e-9)  # before the shadow begins
+    return Measured(float(along[near].max(initial=0.0)), marked(picture, lit))
+
+
+@quantity("times the true width")
+def penumbra_width(subject: Subject, heights: list[float]) -> Measured:
+    """The width of a straight edge's penumbra at x = 0, fitted, over the true one, where it is most wrong.
+
+    A camera for each height of the edge above the floor y = 0. Every pixel of the floor is a sample of the profile.
+    """
+    case = subject.case
+    half_angle = case.scene.lights[0].angular_diameter / 2
+    ratios, picture = [], None
+    for camera, height in enumerate(heights):
+        seen = case.seen(camera)
+        true = height * np.tan(half_angle)
+        floor = seen.covered & (np.abs(seen.position[..., 1]) < 1e-6) & (np.abs(seen.position[..., 0]) < 6 * true)
+        got, shown = subject.visibility(camera)
+        widths = true * np.geomspace(1 / 64, 16, 241)  # 4 % steps, then the least squares' own minimum between them
+        x, v = seen.position[floor][:, 0], got[floor]
+        error = np.array([np.square(metrics.disc_visibility(x / w) - v).mean() for w in widths])
+        k = int(np.clip(error.argmin(), 1, len(widths) - 2))
+        low, middle, high = error[k - 1 : k + 2]
+        shift = 0.5 * (low - high) / (low - 2 * middle + high) if low + high > 2 * middle else 0.0
+        ratios.append(float(widths[k] * (widths[1] / widths[0]) ** shift / true))
+        picture = shown if picture is None else np.concatenate([picture, shown], axis=1)
+    assert picture is not None
+    return Measured(max(ratios, key=lambda r: abs(np.log(r))), picture)
+
+
+@quantity("%")
+def falsely_dark(subject: Subject) -> Measured:
+    """Pixels in shadow though their interpolated normal faces the light, on a body that cannot shadow itself."""
+    frame = subject.frame("visibility", "normal")
+    lit = frame["normal"] @ -np.array(subject.case.scene.lights[0].direction, np.float32) > 0
+    dark = lit & (frame["visibility"][..., 0] < 0.5)
+    return Measured(100 * float(dark.sum()) / max(int(lit.sum()), 1), marked(frame.rgb, dark))
+
+
+@quantity("px")
+def border_step(subject: Subject, band: int = 16) -> Measured:
+    """The largest change of a shadow border's softness between bands of rows, one above the other, in pixels.
+
+    Of a border that crosses every row once. A row's softness is 6 sum V (1 - V), the width of a ramp from 0 to 1.
+    """
+    case = subject.case
+    counted = case.truth.facing(case.seen(), case.scene.lights[0])
+    got, picture = subject.visibility()
+    soft = 6 * np.where(counted, got * (1 - got), 0).sum(1)
+    rows = np.flatnonzero((np.abs(np.diff(np.where(counted, case.visibility(), np.nan), axis=1)) == 1).sum(1) == 1)
+    means = np.convolve(soft[rows[0] : rows[-1] + 1], np.ones(band) / band, "valid")
+    steps = np.abs(means[band:] - means[:-band])
+    return Measured(float(steps.max()), marked(picture, counted & (got > 0.02) & (got < 0.98)))
+
+
+# Motion ----------------------------------------------------------------------------------------------------------
+
+
+@quantity("% a frame")
+def flips(subject: Subject, what: str = "visibility", frames: int = 9, step: float = 1.0) -> Measured:
+    """Points of surfaces whose shadow changes from frame to frame of a pan by whole pixels of an orthographic camera.
+
+    what: visibility, or reflection: its radiance by more than a tenth. step: pixels a frame, whole.
+    """
+    case = subject.case
+    camera, size = case.scene.cameras[0], case.study.size
+    assert camera.fov_y == 0 and step == int(step), "a pan shows the same points again only without perspective"
+    pixel = 2 * camera.ymag / size[1]
+    aov = "visibility" if what == "visibility" else "reflection"
+    seen: list[Any] = []
+    picture, marks = None, np.zeros(size[::-1], bool)
+    for k in range(frames):
+        pose = camera.world_from_view.copy()
+        pose[:3, 3] += k * step * pixel * pose[:3, 0]
+        frame = subject.frame(
+            aov, "triangle_id", "instance_id", camera=Camera(f"pan {k}", pose, fov_y=0, ymag=camera.ymag)
+        )
+        picture = frame.rgb if picture is None else picture
+        seen.append((frame[aov], frame["triangle_id"], frame["instance_id"]))
+    changed = counted = 0
+    shift = int(step)
+    for k, (old, new) in enumerate(pairwise(seen)):
+        before, after = [a[:, shift:] for a in old], [a[:, : size[0] - shift] for a in new]
+        same = (before[1] == after[1]) & (before[2] == after[2])
+        if what == "visibility":
+            flipped = ((before[0] > 0.5) != (after[0] > 0.5)).any(-1)
+        else:
+            level = np.abs(before[0]).max(-1)
+            same &= level > 0
+            flipped = np.abs(before[0] - after[0]).max(-1) > 0.1 * level
+        flipped &= same
+        changed, counted = changed + int(flipped.sum()), counted + int(same.sum())
+        first = (k + 1) * shift  # on the first picture
+        marks[:, first:] |= flipped[:, : size[0] - first]
+    assert picture is not None
+    return Measured(100 * changed / max(counted, 1), marked(picture, marks))
+
+
+# The scene itself ------------------------------------------------------------------------------------------------
+
+
+@quantity("%")
+def changed(subject: Subject, without: str) -> Measured:
+    """Pixels whose radiance differs by more than a hundredth from the picture without the objects of a name."""
+    scene = subject.case.scene
+    clean = scene.replace(instances=tuple(i for i in scene.instances if i.name != without))
+    assert len(clean.instances) < len(scene.instances), f'no object is named "{without}"'
+    want = subject.frame(scene=clean)["radiance"]
+    frame = subject.frame()
+    got = frame["radiance"]
+    with np.errstate(invalid="ignore"):
+        wrong = ~(np.abs(got - want) <= 0.01 * np.abs(want) + 1e-4).all(-1)
+    return Measured(100 * float(wrong.mean()), marked(frame.rgb, wrong))
