@@ -67,8 +67,8 @@ class Motion:
     def __init__(self, scene: Scene, clip: Animation) -> None:
         self.scene, self.clip = scene, clip
         self.deformers = deformers(scene, clip)
-        rest = posing.rest(scene)
-        self._resting = rest.world
+        self._player = posing.Player(scene, clip)
+        rest = posing.Pose(self._player.rest, {})
         self._lists = scene.replace(instances=())  # what place() moves object by object: lights and cameras
         moving = posing.moving_nodes(scene, clip)
         rows = [i for i, p in enumerate(scene.instances) if p.skin < 0 and p.node in moving]
@@ -90,12 +90,12 @@ class Motion:
 
     def at(self, time: float) -> Moment:
         """Everything that moves, at a time in seconds."""
-        pose = posing.evaluate(self.scene, time, self.clip)
+        pose = self._player.at(time)
         world = self._still.copy()
         world[self._rows] = _invertible(pose.world[self._nodes] @ self._local)
         for row, skin in self._skinned:
             world[row, :3, 3] = posing.anchor(self.scene, pose, skin)
-        placed = posing.place(self._lists, pose, self._resting)
+        placed = posing.place(self._lists, pose, self._player.rest)
         shapes = tuple(self._shape(d, b, pose) for d, b in zip(self.deformers, self._boxes, strict=True))
         return Moment(time, world, placed.lights, placed.cameras, shapes)
 

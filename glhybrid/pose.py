@@ -1,8 +1,8 @@
 """A scene at a moment: where a clip's keys put nodes, joints, cameras and lights, and what morph weights it sets.
 
 A pose is a function of the time alone: frame N is the same whether it was played to or sought. Times outside a
-channel's keys are clamped to its first and last, as glTF 2.0 (3.11, appendix C) has it, so a clip of no length has one
-pose. Everything is float64: what is float32 on the GPU is rounded once.
+channel's keys are clamped (keys.py), so a clip of no length has one pose. Everything is float64: what is float32 on the
+GPU is rounded once.
 
 Skinned meshes are posed in a space of their own, the world moved so that the skin's first joint is its origin: a figure
 that walks 100 km away from zero keeps its fingers.
@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from glhybrid import keys
 from glhybrid.errors import GeometryError, SettingError, unknown
-from glhybrid.scene import F64, Animation, Camera, Channel, Instance, Light, Node, Scene
+from glhybrid.scene import F64, Animation, Camera, Instance, Light, Node, Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,66 +73,53 @@ def evaluate(scene: Scene, time: float, clip: Animation | None) -> Pose:
 
     Raises GeometryError for a channel that names no node and for a pose that is not finite.
     """
-    if clip is None:
-        return rest(scene)
-    translation, rotation, scale = _resting(scene.nodes)
-    place = {"translation": translation, "rotation": rotation, "scale": scale}
-    weights: dict[int, F64] = {}
-    for channel in clip.channels:
-        if not 0 <= channel.node < len(scene.nodes):
+    return rest(scene) if clip is None else Player(scene, clip).at(time)
+
+
+class Player:
+    """A clip made ready to be posed many times: keys by kind, nodes by level, and at rest whatever it does not move."""
+
+    def __init__(self, scene: Scene, clip: Animation) -> None:
+        self._scene, self._clip = scene, clip
+        for channel in clip.channels:
+            if not 0 <= channel.node < len(scene.nodes):
+                raise GeometryError(
+                    f'{scene.name}: clip "{clip.name}" moves node {channel.node}, the scene has {len(scene.nodes)}'
+                )
+        self._tracks = keys.tracks(clip.channels)
+        translation, rotation, scale = _resting(scene.nodes)
+        self._place = {"translation": translation, "rotation": rotation, "scale": scale}
+        self._local = _local(scene.nodes)
+        self.rest = _world(scene.nodes, self._local)
+        moved = {c.node for c in clip.channels if c.path != "weights"}
+        self._posed = np.array(sorted(n for n in moved if scene.nodes[n].matrix is None), np.int64)
+        moving = np.zeros(len(scene.nodes), bool)
+        moving[list(moving_nodes(scene, clip))] = True
+        parent = _parents(scene.nodes)
+        levels = [level[moving[level]] for level in _levels(parent)]
+        self._levels = [(level, parent[level]) for level in levels if len(level)]
+
+    def at(self, time: float) -> Pose:
+        """The pose at a time in seconds. Raises GeometryError where it is not finite."""
+        place = {path: values.copy() for path, values in self._place.items()}
+        weights: dict[int, F64] = {}
+        for path, nodes, values in keys.sampled(self._tracks, time):
+            if path == "weights":
+                weights |= zip(nodes.tolist(), values, strict=True)
+            else:
+                place[path][nodes] = values
+        local, posed = self._local.copy(), self._posed
+        local[posed] = trs_matrices(*(place[path][posed] for path in ("translation", "rotation", "scale")))
+        world = self.rest.copy()
+        for nodes, parents in self._levels:
+            world[nodes] = local[nodes] if parents[0] < 0 else world[parents] @ local[nodes]
+        if not np.isfinite(world).all():
+            node = int(np.argmin(np.isfinite(world).all((1, 2))))
             raise GeometryError(
-                f'{scene.name}: clip "{clip.name}" moves node {channel.node}, the scene has {len(scene.nodes)}'
+                f'{self._scene.name}: clip "{self._clip.name}" at {time:g} s puts node {node} '
+                f'"{self._scene.nodes[node].name}" nowhere: its matrix is not finite'
             )
-        value = sample(channel, time)
-        if channel.path == "weights":
-            weights[channel.node] = value
-        else:
-            place[channel.path][channel.node] = value
-    world = _world(scene.nodes, trs_matrices(translation, rotation, scale))
-    bad = ~np.isfinite(world).all((1, 2))
-    if bad.any():
-        node = int(np.argmax(bad))
-        raise GeometryError(
-            f'{scene.name}: clip "{clip.name}" at {time:g} s puts node {node} "{scene.nodes[node].name}" nowhere: '
-            "its matrix is not finite"
-        )
-    return Pose(world, weights)
-
-
-def sample(channel: Channel, time: float) -> F64:
-    """(W,) float64 value of a channel; rotations come out as unit quaternions."""
-    times, values = channel.times, channel.values
-    after = int(np.searchsorted(times, time, side="right"))
-    before = max(after - 1, 0)
-    cubic = channel.interpolation == "CUBICSPLINE"
-    first = (values[before, 1] if cubic else values[before]).astype(np.float64)
-    turn = channel.path == "rotation"
-    if after in (0, len(times)) or channel.interpolation == "STEP":
-        return _unit_quaternion(first) if turn else first
-    start, step = float(times[before]), float(times[after]) - float(times[before])
-    u = (float(time) - start) / step
-    if cubic:
-        second = values[after, 1].astype(np.float64)
-        leave, arrive = step * values[before, 2].astype(np.float64), step * values[after, 0].astype(np.float64)
-        value = (
-            (2 * u**3 - 3 * u**2 + 1) * first + (u**3 - 2 * u**2 + u) * leave
-            + (3 * u**2 - 2 * u**3) * second + (u**3 - u**2) * arrive
-        )  # fmt: skip
-        return _unit_quaternion(value) if turn else value
-    second = values[after].astype(np.float64)
-    if turn:
-        return slerp(_unit_quaternion(first), _unit_quaternion(second), u)
-    return np.asarray((1 - u) * first + u * second)
-
-
-def slerp(a: F64, b: F64, u: float) -> F64:
-    """The quaternion u of the shorter way from a to b, both unit; exact at both ends, and for nearly equal ones."""
-    if a @ b < 0:
-        b = -b
-    angle = 2 * np.arctan2(np.linalg.norm(a - b), np.linalg.norm(a + b))  # acos of the product loses small angles
-    if angle < 1e-9:
-        return _unit_quaternion((1 - u) * a + u * b)
-    return _unit_quaternion((np.sin((1 - u) * angle) * a + np.sin(u * angle) * b) / np.sin(angle))
+        return Pose(world, weights)
 
 
 def moving_nodes(scene: Scene, clip: Animation) -> frozenset[int]:
@@ -254,7 +242,7 @@ def rigid(world: F64) -> F64 | None:
 
 def world_matrices(nodes: tuple[Node, ...]) -> F64:
     """(N, 4, 4) world_from_node of a hierarchy without loops, level by level from the roots."""
-    return _world(nodes, trs_matrices(*_resting(nodes)))
+    return _world(nodes, _local(nodes))
 
 
 def trs_matrices(translation: F64, rotation: F64, scale: F64) -> F64:
@@ -285,21 +273,31 @@ def _resting(nodes: tuple[Node, ...]) -> tuple[F64, F64, F64]:
     )
 
 
-def _world(nodes: tuple[Node, ...], local: F64) -> F64:
+def _local(nodes: tuple[Node, ...]) -> F64:
+    """(N, 4, 4) parent_from_node."""
+    local = trs_matrices(*_resting(nodes))
     for i, node in enumerate(nodes):
         if node.matrix is not None:
             local[i] = node.matrix
-    parent = np.array([n.parent for n in nodes], np.int64)
-    world = local.copy()
+    return local
+
+
+def _parents(nodes: tuple[Node, ...]) -> np.ndarray:
+    return np.array([n.parent for n in nodes], np.int64)
+
+
+def _levels(parent: np.ndarray) -> list[np.ndarray]:
+    """Rows of nodes, the roots first and then each level below."""
+    levels = [np.flatnonzero(parent == -1)]
     placed = parent == -1
-    while True:
-        ready = np.flatnonzero(~placed & placed[parent])
-        if not len(ready):
-            return world
-        world[ready] = world[parent[ready]] @ local[ready]
-        placed[ready] = True
+    while len(levels[-1]):
+        levels.append(np.flatnonzero(~placed & placed[parent]))
+        placed[levels[-1]] = True
+    return levels[:-1]
 
 
-def _unit_quaternion(q: F64) -> F64:
-    length = float(np.linalg.norm(q))
-    return np.asarray(q / length) if length > 1e-30 else np.array([0.0, 0.0, 0.0, 1.0])
+def _world(nodes: tuple[Node, ...], local: F64) -> F64:
+    parent, world = _parents(nodes), local.copy()
+    for level in _levels(parent)[1:]:
+        world[level] = world[parent[level]] @ local[level]
+    return world

@@ -9,8 +9,9 @@ import pytest
 from glhybrid import pose as posing
 from glhybrid.deform import at_rest, at_time, deformers, posed, skinned
 from glhybrid.errors import GeometryError, SettingError
+from glhybrid.keys import sample, slerp
 from glhybrid.load import read_model
-from glhybrid.pose import Pose, evaluate, find_clip, joint_matrices, moving_nodes, notes, place, sample, slerp
+from glhybrid.pose import Pose, evaluate, find_clip, joint_matrices, moving_nodes, notes, place
 from glhybrid.scene import (
     F64,
     Animation,
