@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, CycloptsError, Parameter
 
-from glhybrid import __version__, console
+from glhybrid import __version__, cli_frames, console
+from glhybrid.cli_frames import Frames
 from glhybrid.errors import DeviceError, GlhybridError, SettingError
 
 if TYPE_CHECKING:
@@ -124,16 +125,7 @@ def render(
     ] = None,
     aov: Annotated[str, Parameter(help="Layers of an EXR or arrays of an NPZ: depth,normal,...")] = "",
     exr_float: Annotated[bool, Parameter(help="32-bit colour in EXR instead of half.")] = False,
-    frames: Annotated[
-        str | None,
-        Parameter(
-            help="Frames of an animation, A:B as in Python; : is all of it. OUT then holds {frame:04d}.",
-            allow_leading_hyphen=True,
-        ),
-    ] = None,
-    fps: Annotated[float, Parameter(help="Frames a second of the animation; 24.")] = 24.0,
-    turntable: Annotated[int, Parameter(help="Turn the camera about the scene, once in so many frames.")] = 0,
-    overwrite: Annotated[bool, Parameter(help="Make frames anew that are there already.")] = False,
+    frames: Frames = cli_frames.NONE,
     common: Common = Common(),
 ) -> int:
     """Render a picture, or one for each frame of an animation."""
@@ -141,11 +133,8 @@ def render(
 
     # Everything that can be refused is refused before any work is done.
     aovs = check_aovs(name.strip() for name in aov.split(",") if name.strip())
-    if frames is not None:
-        pattern = output or f"{_stem(scene)}_{{frame:04d}}.png"
-        return _render_frames(scene, pattern, aovs, exr_float, frames, fps, turntable, overwrite, common)
-    if turntable or overwrite:
-        raise SettingError(f"--{'turntable' if turntable else 'overwrite'} is for animations: give --frames A:B too")
+    if frames.asked():
+        return _render_frames(scene, output or f"{_stem(scene)}_{{frame:04d}}.png", aovs, exr_float, frames, common)
     settings, size, path = common.settings(), common.pixels(), output or f"{_stem(scene)}.png"
     suffix = check_output(path, aovs)
     if path == "-" and common.json:
@@ -177,35 +166,24 @@ def render(
 
 
 def _render_frames(
-    scene: str,
-    pattern: str,
-    aovs: tuple[str, ...],
-    exr_float: bool,
-    frames: str,
-    fps: float,
-    turntable: int,
-    overwrite: bool,
-    common: Common,
+    scene: str, output: str, aovs: tuple[str, ...], exr_float: bool, frames: Frames, common: Common
 ) -> int:
     from glhybrid import sequence
-    from glhybrid.image import check_output
 
     settings, size = common.settings(), common.pixels()
-    check_output(sequence.frame_path(pattern, 0), aovs)
+    frames.point()
+    sequence.check(output, size, frames.fps, aovs)
     with console.progress(not (common.quiet or common.json)) as progress:
         progress(f"loading {scene}", 0, 0)
         loaded = common.load(scene)
         _say_warnings(loaded.warnings)
-        made = sequence.make(loaded, settings, frames, fps, common.camera_key(), turntable)
-        from glhybrid.renderer import Renderer
-
-        with Renderer(device=common.device) as renderer:
-            receipt = sequence.run(renderer, made, pattern, size, aovs, exr_float, overwrite, progress)
+        receipt = frames.run(
+            loaded, settings, common.camera_key(), output, size, aovs, exr_float, common.device, progress
+        )
     if common.json:
         _print_json(receipt)
     elif not common.quiet:
-        rate = f", {receipt['frames_per_second']:.2f} frames/s" if receipt["written"] else ""
-        print(f"{pattern}: {receipt['written']} frames written, {receipt['kept']} kept{rate}")
+        print(cli_frames.summary(receipt))
     return 0
 
 

@@ -11,6 +11,7 @@ import json
 import logging
 import os
 import sys
+import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,6 +27,7 @@ log = logging.getLogger("glhybrid")
 
 Array = NDArray[Any]
 SUFFIXES = (".png", ".exr", ".npz")
+MOVIE_SUFFIXES = (".mp4", ".webp", ".gif", ".apng")  # of sequences
 HALF_MAX = 65504.0
 NO_ID = 0xFFFFFFFF
 
@@ -140,8 +142,11 @@ class Frame:
             with replacing(Path(path)) as temporary:
                 _write_exr(temporary, channels, self.receipt)
         else:
-            with replacing(Path(path)) as temporary, temporary.open("wb") as file:
+            with replacing(Path(path)) as temporary, temporary.open("w+b") as file:
                 np.savez(file, **{"radiance": self["radiance"], **arrays}, allow_pickle=False)
+                if "fingerprint" in self.receipt:
+                    with zipfile.ZipFile(file, "a") as archive:
+                        archive.comment = f"Fingerprint: {self.receipt['fingerprint']}".encode()
         for warning in warnings:
             log.warning("%s: %s", path, warning)
             self.receipt.setdefault("warnings", []).append(warning)
@@ -164,16 +169,19 @@ def check_output(path: str | Path, aov: tuple[str, ...] = (), folder: bool = Tru
             raise OutputError("-: standard output is a terminal: send it to a file or a pipe, or give a name")
     else:
         suffix = Path(path).suffix.lower()
+        if suffix in MOVIE_SUFFIXES:
+            raise OutputError(f"{path}: a movie is made of --frames, --turntable or --path: give one of them")
         if suffix not in SUFFIXES:
             raise OutputError(f'{path}: cannot write "{suffix or "no suffix"}"; supported: {", ".join(SUFFIXES)} and -')
         if folder:
-            _check_folder(Path(path))
+            check_folder(Path(path))
     if suffix == ".png" and aov:
         raise SettingError(f"{path}: PNG holds no AOVs ({', '.join(aov)}): write .exr or .npz")
     return suffix
 
 
-def _check_folder(path: Path) -> None:
+def check_folder(path: Path) -> None:
+    """Raises OutputError where a file cannot be put."""
     folder = path.parent
     if not folder.exists():
         raise OutputError(f"{path}: there is no folder {folder}: mkdir -p {folder}")
@@ -205,7 +213,7 @@ def encode_png(rgb: NDArray[np.uint8], receipt: Mapping[str, Any]) -> bytes:
 
     info = PngInfo()
     info.add(b"sRGB", b"\x00")  # rendering intent: perceptual
-    for key, text in _metadata(receipt).items():
+    for key, text in metadata(receipt).items():
         info.add_text(key, text)
     buffer = io.BytesIO()
     Image.fromarray(rgb).save(buffer, "PNG", pnginfo=info, compress_level=4)  # 6, the default: twice the time, 2 % less
@@ -239,14 +247,17 @@ def _write_exr(path: Path, channels: dict[str, Array], receipt: Mapping[str, Any
     import OpenEXR
 
     header: dict[str, Any] = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    header |= {key.lower(): text for key, text in _metadata(receipt).items()}
+    header |= {key.lower(): text for key, text in metadata(receipt).items()}
     OpenEXR.File(header, channels).write(str(path))
 
 
-def _metadata(receipt: Mapping[str, Any]) -> dict[str, str]:
+def metadata(receipt: Mapping[str, Any]) -> dict[str, str]:
+    """What a picture says of itself, by name."""
     texts = {"Software": f"glhybrid {__version__}"}
     if "settings" in receipt:
         texts["Settings"] = json.dumps(receipt["settings"])
+    if "fingerprint" in receipt:
+        texts["Fingerprint"] = str(receipt["fingerprint"])
     scene = receipt.get("scene")
     if isinstance(scene, Mapping) and scene.get("sha256"):
         texts["Scene"] = str(scene["sha256"])

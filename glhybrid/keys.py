@@ -1,4 +1,4 @@
-"""Values of animation channels at a time: keys of many channels kept together, so that a frame samples them all at once.
+"""Values of animation channels at a time: keys of many channels kept together, so that a frame samples all at once.
 
 Interpolation is that of glTF 2.0, appendix C. Times outside a channel's keys are clamped to its first and last.
 Everything is float64.

@@ -1,9 +1,10 @@
 """Pictures in a row: which frames, at what times, seen from where, and files that survive an interrupted run.
 
-A frame is finished when its file has its name: files are written beside it and moved, so a run that is cut off leaves
-whole frames only, and the next one goes on from there. Encoding happens in a thread of its own while the next frame is
-drawn. Frame N depends on N alone, its motion vectors included: where the frame before it was not drawn in this run, the
-scene passes through its pose all the same.
+Files are written beside their final name and moved there when they are whole, so a run that is cut off leaves whole
+frames only; the next one keeps those that it would make the same (resume.py) and goes on from there. A movie, one file
+for all frames, is there when it is whole. Encoding happens in other threads while the next frame is drawn. Frame N
+depends on N alone, its motion vectors included: where the frame before it was not drawn in this run, the scene passes
+through its pose all the same.
 """
 
 import logging
@@ -19,11 +20,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from glhybrid import movie
 from glhybrid import pose as posing
+from glhybrid.camera_path import CameraMove, Turntable
 from glhybrid.deform import at_rest
 from glhybrid.errors import OutputError, SettingError
-from glhybrid.image import check_output
-from glhybrid.scene import Camera, Scene
+from glhybrid.image import MOVIE_SUFFIXES, Frame, check_folder, check_output
+from glhybrid.resume import fingerprint, fingerprint_of, remove_leftovers, scene_digest
+from glhybrid.scene import Animation, Camera, Scene
 from glhybrid.settings import Settings
 from glhybrid.view import choose_camera
 
@@ -32,70 +36,95 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("glhybrid")
 MOST_FRAMES = 1_000_000
-IN_FLIGHT = 2  # frames being written while the next is drawn
 
 
 @dataclass(frozen=True, eq=False)
 class Sequence:
-    """numbers: the frames. Frame n shows the clip at n / fps seconds. turntable: frames a full turn of the camera about
-    the scene's vertical axis takes, 0 = it does not turn."""
+    """numbers: the frames. Frame n shows the clip at n / fps seconds.
+
+    camera: one of the scene's, which a clip may move. move: what moves it besides or instead: a Turntable, CameraPath
+    or CameraClip.
+    """
 
     scene: Scene
     settings: Settings
     numbers: range
     fps: float
-    camera: int | str | None = None
-    turntable: int = 0
+    camera: int | str | Camera | None = None
+    move: CameraMove | None = None
+
+    @property
+    def plays(self) -> bool:
+        """A scene without a clip stays at rest, so that nothing is prepared to move."""
+        return self._clip is not None
 
     def settings_at(self, number: int) -> Settings:
-        """A scene without a clip stays at rest, so that nothing is prepared to move."""
-        plays = posing.find_clip(self.scene, self.settings.clip) is not None
-        return self.settings.replace(time=number / self.fps) if plays else self.settings
+        return self.settings.replace(time=number / self.fps) if self.plays else self.settings
 
     def camera_at(self, number: int) -> int | str | Camera | None:
-        """The camera where the clip has it, turned counter-clockwise as seen from above."""
-        if not self.turntable:
-            return self.camera
-        clip = posing.find_clip(self.scene, self.settings.clip)
-        bare = self.scene.replace(instances=())
-        if clip is not None:
-            bare = posing.place(bare, posing.evaluate(self.scene, number / self.fps, clip))
+        """What the renderer is to be given: it finds a camera of the scene where the clip has it."""
+        return self.camera if self.move is None else self.view_at(number)
+
+    def view_at(self, number: int) -> Camera:
+        """The camera itself."""
+        bare = self._bare
+        if self._player is not None and not isinstance(self.camera, Camera):
+            bare = posing.place(bare, self._player.at(number / self.fps), self._player.rest)
         camera = choose_camera(bare, self.camera)
-        angle = 2 * np.pi * (number % self.turntable) / self.turntable
-        turn = np.eye(4)
-        turn[0, 0] = turn[2, 2] = np.cos(angle)
-        turn[0, 2], turn[2, 0] = np.sin(angle), -np.sin(angle)
-        middle = posing.translation_matrix(self._middle)
-        back = posing.translation_matrix(-self._middle)
-        return replace(camera, world_from_view=middle @ turn @ back @ camera.world_from_view)
+        return camera if self.move is None else self.move.at(number / self.fps, number, camera)
 
     @cached_property
-    def _middle(self) -> Any:
-        return at_rest(self.scene).bounds().mean(0)
+    def _clip(self) -> Animation | None:
+        return posing.find_clip(self.scene, self.settings.clip)
+
+    @cached_property
+    def _bare(self) -> Scene:
+        return self.scene.replace(instances=(), lights=())
+
+    @cached_property
+    def _player(self) -> posing.Player | None:
+        moving = self._clip is not None and any(c.node >= 0 for c in self.scene.cameras)
+        return posing.Player(self._bare, self._clip) if moving and self._clip is not None else None
 
 
 def make(
-    scene: Scene, settings: Settings, frames: str, fps: float, camera: int | str | None = None, turntable: int = 0
+    scene: Scene,
+    settings: Settings,
+    frames: str = ":",
+    fps: float = 24.0,
+    camera: int | str | Camera | None = None,
+    move: CameraMove | None = None,
 ) -> Sequence:
-    """frames: a Python slice, "A:B", "A:B:STEP" or with either end left out: the clip, or the turn, from start to end.
+    """frames: a Python slice, "A:B", "A:B:STEP" or with either end left out: the clip, or the camera's way, from start
+    to end, whichever is longer.
 
     Raises SettingError for a slice that is none or holds no frame, a rate that is not within 0.001 to 10000, and where
     nothing would move.
     """
     if not (np.isfinite(fps) and 1e-3 <= fps <= 1e4):
         raise SettingError(f"--fps {fps:g}: expected a number from 0.001 to 10000")
-    if turntable < 0:
-        raise SettingError(f"--turntable {turntable}: expected how many frames a full turn takes, 1 or more")
     if settings.time is not None:
         raise SettingError(f"--time {settings.time:g} and --frames: a frame's time is its number / fps; give one")
+    choose_camera(scene, camera)
     clip = posing.find_clip(scene, settings.clip)
-    if clip is None and not turntable:
+    if clip is None and move is None:
         raise SettingError(
             f"--frames {frames}: nothing moves, {scene.name} has no animation; --turntable 120 turns the camera once "
-            "in 120 frames"
+            "in 120 frames, --path FILE.toml moves it"
         )
-    length = int(np.floor(posing.clip_span(clip)[1] * fps + 1e-6)) + 1 if clip is not None else turntable
-    return Sequence(scene, settings, parse_frames(frames, max(length, turntable)), fps, camera, turntable)
+    length = int(np.floor(posing.clip_span(clip)[1] * fps + 1e-6)) + 1 if clip is not None else 1
+    length = max(length, move.length(fps) if move is not None else 1)
+    return Sequence(scene, settings, parse_frames(frames, length), fps, camera, move)
+
+
+def turntable(
+    scene: Scene, frames: int, degrees: float = 360.0, about: tuple[float, float, float] | None = None
+) -> Turntable:
+    """A turntable about a point, or about the middle of the scene at rest."""
+    if about is None:
+        x, y, z = at_rest(scene).bounds().mean(0).tolist()
+        about = x, y, z
+    return Turntable(frames, about, degrees)
 
 
 def parse_frames(text: str, length: int) -> range:
@@ -135,70 +164,126 @@ def frame_path(pattern: str, number: int) -> Path:
 def run(
     renderer: "Renderer",
     sequence: Sequence,
-    pattern: str,
+    output: str,
     size: tuple[int, int],
     aovs: tuple[str, ...] = (),
     exr_float: bool = False,
     overwrite: bool = False,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> dict[str, Any]:
-    """Draws and writes what is not there yet. aovs: layers of EXR and NPZ files.
+    """Draws and writes what is not there yet. output: a pattern of file names, or a movie. aovs: layers of EXR and NPZ.
 
-    Returns the last frame's receipt with `output` (the pattern), `frames` (numbers), `written`, `kept`, `seconds` and
+    Returns the last frame's receipt with `output`, `frames` (numbers), `written`, `kept`, `seconds` and
     `frames_per_second`. Raises OutputError before any work is done where a frame could not be written.
     """
-    numbers = sequence.numbers
-    data = check_output(frame_path(pattern, numbers[0]), aovs) != ".png"
-    if "motion" in aovs and sequence.settings.reflections == "reference":
-        raise SettingError('"motion" of a sequence is not made with reflections = reference: leave one of both out')
-    settings = sequence.settings.replace(aa=sequence.settings.aa_frames(data))
-    sequence = replace(sequence, settings=settings)
-    layers = ("radiance", *(a for a in aovs if a != "radiance")) if data else ()
-    todo = [n for n in numbers if overwrite or not frame_path(pattern, n).exists()]
-    kept = len(numbers) - len(todo)
-    if kept:
-        log.info("%d of %d frames are there already and are kept; --overwrite makes them anew", kept, len(numbers))
-    receipt: dict[str, Any] = {}
-    started, drawn = time.perf_counter(), None
-    with ThreadPoolExecutor(1) as writer:
-        pending: list[Future[Any]] = []
-        for done, number in enumerate(todo):
-            if progress is not None:
-                progress(f"frame {number}", done, len(todo))
-            path = frame_path(pattern, number)
-            _remove_leftovers(path)
-            before = number - numbers.step
-            if "motion" in layers and drawn != before:
-                staged = renderer.stage(sequence.scene, sequence.settings_at(before), size, layers)
-                staged.aim(sequence.settings_at(before), sequence.camera_at(before))
-            frame = renderer.render(
-                sequence.scene, sequence.camera_at(number), size, sequence.settings_at(number), layers
-            )
-            receipt, drawn = frame.receipt, number
-            pending.append(writer.submit(frame.save, path, aovs, exr_float))
-            while len(pending) > IN_FLIGHT or (pending and pending[0].done()):
-                pending.pop(0).result()
-        for save in pending:
-            save.result()
-    seconds = time.perf_counter() - started
+    job = _Job(renderer, sequence, output, size, aovs, exr_float, progress)
+    started = time.perf_counter()
+    receipt, written, kept = job.movie() if is_movie(output) else job.pictures(overwrite)
+    seconds, numbers = time.perf_counter() - started, sequence.numbers
     return receipt | {
-        "output": pattern, "frames": [numbers.start, numbers.stop, numbers.step], "written": len(todo), "kept": kept,
-        "seconds": seconds, "frames_per_second": len(todo) / seconds if todo else 0.0,
+        "output": output, "frames": [numbers.start, numbers.stop, numbers.step], "written": written, "kept": kept,
+        "seconds": seconds, "frames_per_second": written / seconds if written else 0.0,
     }  # fmt: skip
 
 
-def _remove_leftovers(path: Path) -> None:
-    """Half-written files of this frame whose process was killed."""
-    for part in _parts(path):
-        pid = int(part.name.split(".")[-3])
-        try:
-            os.kill(pid, 0)
-        except ProcessLookupError:
-            part.unlink(missing_ok=True)
-        except PermissionError:
-            pass  # somebody else's, and alive
+def is_movie(output: str) -> bool:
+    """Whether all frames go into one file."""
+    return Path(output).suffix.lower() in MOVIE_SUFFIXES
 
 
-def _parts(path: Path) -> Iterator[Path]:
-    name = re.compile(re.escape(f".{path.stem}.") + r"\d+\.part" + re.escape(path.suffix))
-    return (p for p in path.parent.iterdir() if name.fullmatch(p.name))
+def check(output: str, size: tuple[int, int], fps: float, aovs: tuple[str, ...] = ()) -> str:
+    """The output's suffix, before any work is spent on it. Raises OutputError or SettingError."""
+    if not is_movie(output):
+        return check_output(frame_path(output, 0), aovs)
+    check_folder(Path(output))
+    if aovs:
+        raise SettingError(f"{output}: a movie holds no AOVs ({', '.join(aovs)}): write numbered .exr or .npz")
+    movie.check(output, size, fps)
+    return Path(output).suffix.lower()
+
+
+class _Job:
+    """One run: what to draw and where to put it."""
+
+    def __init__(
+        self,
+        renderer: "Renderer",
+        sequence: Sequence,
+        output: str,
+        size: tuple[int, int],
+        aovs: tuple[str, ...],
+        exr_float: bool,
+        progress: Callable[[str, int, int], None] | None,
+    ) -> None:
+        self.renderer, self.output, self.size, self.aovs, self.exr_float = renderer, output, size, aovs, exr_float
+        self.progress = progress or (lambda stage, done, total: None)
+        data = check(output, size, sequence.fps, aovs) in (".exr", ".npz")
+        if "motion" in aovs and sequence.settings.reflections == "reference":
+            raise SettingError('"motion" of a sequence is not made with reflections = reference: leave one of both out')
+        self.sequence = replace(sequence, settings=sequence.settings.replace(aa=sequence.settings.aa_frames(data)))
+        self.layers = ("radiance", *(a for a in aovs if a != "radiance")) if data else ()
+
+    def movie(self) -> tuple[dict[str, Any], int, int]:
+        """All frames into one file: the last receipt, frames written and kept."""
+        numbers, path = self.sequence.numbers, Path(self.output)
+        remove_leftovers(path)
+        said = {"settings": self.sequence.settings.to_dict(), "scene": {"sha256": self.sequence.scene.sha256}}
+        receipt: dict[str, Any] = {}
+        with movie.Movie(path, self.sequence.fps / numbers.step, len(numbers), said) as file:
+            for frame in self._draw(list(numbers)):
+                file.add(frame.rgb)
+                receipt = frame.receipt
+        return receipt, len(numbers), 0
+
+    def pictures(self, overwrite: bool) -> tuple[dict[str, Any], int, int]:
+        """Every frame that is not there yet into a file of its own."""
+        numbers, prints = self.sequence.numbers, self._fingerprints()
+        found = {} if overwrite else {n: fingerprint_of(frame_path(self.output, n)) for n in numbers}
+        todo = [n for n in numbers if found.get(n) != prints[n]]
+        others = sum(frame_path(self.output, n).exists() for n in todo)
+        if len(todo) < len(numbers):
+            kept = len(numbers) - len(todo)
+            log.info("%d of %d frames are there already and are kept; --overwrite makes them anew", kept, len(numbers))
+        if others and not overwrite:
+            log.info("%d frames that are there are of another scene, of other settings or not ours: made anew", others)
+        receipt: dict[str, Any] = {}
+        workers = min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, 8)
+        with ThreadPoolExecutor(workers) as pool:
+            pending: list[Future[Any]] = []
+            for number, frame in zip(todo, self._draw(todo), strict=True):
+                receipt = frame.receipt = frame.receipt | {"fingerprint": prints[number]}
+                path = frame_path(self.output, number)
+                remove_leftovers(path)
+                pending.append(pool.submit(frame.save, path, self.aovs, self.exr_float))
+                while len(pending) > workers or (pending and pending[0].done()):
+                    pending.pop(0).result()
+            for save in pending:
+                save.result()
+        return receipt, len(todo), len(numbers) - len(todo)
+
+    def _draw(self, numbers: list[int]) -> Iterator[Frame]:
+        sequence, renderer, drawn = self.sequence, self.renderer, None
+        for done, number in enumerate(numbers):
+            self.progress(f"frame {number}", done, len(numbers))
+            before = number - sequence.numbers.step
+            if "motion" in self.layers and drawn != before:
+                staged = renderer.stage(sequence.scene, sequence.settings_at(before), self.size, self.layers)
+                staged.aim(sequence.settings_at(before), sequence.camera_at(before))
+            yield renderer.render(
+                sequence.scene, sequence.camera_at(number), self.size, sequence.settings_at(number), self.layers
+            )
+            drawn = number
+
+    def _fingerprints(self) -> dict[int, str]:
+        """By frame. Motion vectors also depend on the frame before."""
+        sequence, scene = self.sequence, scene_digest(self.sequence.scene)
+        layers = {"aovs": self.layers, "float": self.exr_float, "size": self.size}
+
+        def make(number: int) -> str:
+            more: dict[str, Any] = dict(layers)
+            if "motion" in self.layers:
+                before = number - sequence.numbers.step
+                more["before"] = fingerprint(b"", sequence.settings_at(before).to_dict(), sequence.view_at(before))
+            return fingerprint(scene, sequence.settings_at(number).to_dict(), sequence.view_at(number), **more)
+
+        return {number: make(number) for number in sequence.numbers}

@@ -1,12 +1,14 @@
 """Frame ranges, file names, turntables, and what is refused before any work is done."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from test_pose import channel, quad, scene_of
 
-from glhybrid import sequence
+from glhybrid import cli, sequence
+from glhybrid.camera_path import Turntable
 from glhybrid.errors import OutputError, SettingError
 from glhybrid.scene import Camera, Instance, Node, Scene
 from glhybrid.settings import Settings
@@ -43,7 +45,7 @@ def test_times_are_those_of_the_numbers() -> None:
     assert made.numbers == range(49)
     assert made.settings_at(30).time == 30 / 24
     assert list(sequence.make(moving(), Settings(), "-1:", 24).numbers) == [48]
-    still = sequence.make(moving().replace(animations=()), Settings(), ":", 24, turntable=8)
+    still = sequence.make(moving().replace(animations=()), Settings(), move=Turntable(8, (0, 0, 0)))
     assert still.numbers == range(8) and still.settings_at(3).time is None
 
 
@@ -58,8 +60,8 @@ def test_refused_before_any_work() -> None:
         sequence.make(scene, Settings(time=1), "0:4", 24)
     with pytest.raises(SettingError, match="did you mean"):
         sequence.make(scene, Settings(clip="wlak"), "0:4", 24)
-    with pytest.raises(SettingError, match="--turntable -1"):
-        sequence.make(scene, Settings(), "0:4", 24, turntable=-1)
+    with pytest.raises(SettingError, match="turntable -1"):
+        sequence.turntable(scene, -1)
 
 
 def test_names_of_files() -> None:
@@ -70,7 +72,8 @@ def test_names_of_files() -> None:
 
 
 def test_a_turntable_goes_round() -> None:
-    made = sequence.make(moving().replace(animations=()), Settings(), ":", 24, turntable=4)
+    still = moving().replace(animations=())
+    made = sequence.make(still, Settings(), move=sequence.turntable(still, 4))
     middle = np.array([0.5, 0.5, 0])
     for number, eye in enumerate([(0.5, 0.5, 4), (4.5, 0.5, 0), (0.5, 0.5, -4), (-3.5, 0.5, 0), (0.5, 0.5, 4)]):
         camera = made.camera_at(number)
@@ -79,3 +82,35 @@ def test_a_turntable_goes_round() -> None:
         towards = middle - camera.world_from_view[:3, 3]
         np.testing.assert_allclose(-camera.world_from_view[:3, 2], towards / 4, atol=1e-12)
         np.testing.assert_allclose(camera.world_from_view[:3, 1], [0, 1, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--turn", "90"), "--turn is for turntables"),
+        (("--about", "0,0,0"), "--about is for turntables"),
+        (("--turntable", "4", "--path", "a.toml"), "give one"),
+        (("--turntable", "4", "--about", "1,2"), "expected X,Y,Z"),
+        (("--turntable", "-4"), "expected how many frames"),
+        (("--path", "gone.toml"), "No such file"),
+        (("--overwrite",), "give --frames"),
+        (("-o", "a.mp4"), "made of --frames"),
+        (("--frames", "0:2", "-o", "a.gif", "--fps", "99"), "at most 50"),
+        (("--frames", "0:2", "-o", "a.webp", "--aov", "depth"), "a movie holds no AOVs"),
+        (("--frames", "0:2", "-o", "gone/a.webp"), "there is no folder"),
+        (("--frames", "0:2", "-o", "a.avi"), "not a pattern|every frame would have this name"),
+        (("--frames", "0:2"), "nothing moves"),
+    ],
+)  # fmt: skip
+def test_flags_that_mean_nothing(
+    arguments: tuple[str, ...], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    """Refused with one line and exit status 2, and nothing written."""
+    monkeypatch.chdir(tmp_path)
+    Path("t.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    before = sorted(tmp_path.iterdir())
+    assert cli.main(["render", "t.obj", "--size", "32x32", *arguments]) == 2
+    out, err = capsys.readouterr()
+    assert not out and re.search(says, err) and "Traceback" not in err
+    assert sorted(tmp_path.iterdir()) == before

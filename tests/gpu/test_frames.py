@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from glhybrid import sequence
+from glhybrid import camera_path, sequence
 from glhybrid.load import load
 from glhybrid.renderer import Renderer
 from glhybrid.settings import Settings
@@ -24,7 +24,8 @@ SIZE = (48, 40)
 
 
 def run(renderer: Renderer, scene: Any, pattern: Path, frames: str, aovs: tuple[str, ...] = (), **more: Any) -> Any:
-    made = sequence.make(scene, Settings(aa=1, exposure=0.0), frames, 12, turntable=more.pop("turntable", 0))
+    move = sequence.turntable(scene, turn) if (turn := more.pop("turntable", 0)) else None
+    made = sequence.make(scene, Settings(aa=1, exposure=0.0), frames, 12, move=move)
     return sequence.run(renderer, made, str(pattern), SIZE, aovs, **more)
 
 
@@ -80,3 +81,59 @@ def test_a_killed_run_leaves_whole_frames(models: Path, tmp_path: Path) -> None:
         assert before + 5 <= len(done) < 400 and [p.stem for p in done] == [f"{i:04d}" for i in range(len(done))]
         for path in done:
             Image.open(path).load()
+
+
+def test_frames_of_other_settings_are_made_anew(context: "Context", models: Path, tmp_path: Path) -> None:
+    scene = load(models / "AnimatedMorphCube/AnimatedMorphCube.glb")
+    pattern = tmp_path / "{frame}.png"
+
+    def go(settings: Settings, of: Any = scene, **more: Any) -> tuple[int, int]:
+        made = sequence.make(of, settings.replace(aa=1), "0:3", 12)
+        done = sequence.run(renderer, made, str(pattern), SIZE, **more)
+        return done["written"], done["kept"]
+
+    with Renderer(context=context) as renderer:
+        assert go(Settings()) == (3, 0) and go(Settings()) == (0, 3)
+        assert go(Settings(exposure=1.0)) == (3, 0) and go(Settings(exposure=1.0)) == (0, 3)
+        Image.new("RGB", SIZE).save(tmp_path / "1.png")  # not ours
+        (tmp_path / "2.png").write_bytes(b"broken")
+        assert go(Settings(exposure=1.0)) == (2, 1)
+        assert go(Settings(exposure=1.0), scene.replace(lights=())) == (3, 0)  # the same file, changed in Python
+        assert go(Settings(exposure=1.0), scene.replace(lights=()), overwrite=True) == (3, 0)
+
+
+@pytest.mark.parametrize("suffix", [".apng", ".mp4"])
+def test_a_movie_holds_the_frames(context: "Context", models: Path, tmp_path: Path, suffix: str) -> None:
+    if suffix == ".mp4":
+        av = pytest.importorskip("av")
+    scene, path = load(models / "AnimatedMorphCube/AnimatedMorphCube.glb"), tmp_path / f"cube{suffix}"
+    chosen = Settings(aa=1, exposure=0.0)
+    with Renderer(context=context) as renderer:
+        done = sequence.run(renderer, sequence.make(scene, chosen, "0:9:2", 12), str(path), SIZE)
+        assert (done["written"], done["frames"]) == (5, [0, 9, 2]) and done["frames_per_second"] > 0
+        single = renderer.render(scene, size=SIZE, settings=chosen.replace(time=4 / 12))
+    if suffix == ".apng":
+        with Image.open(path) as file:
+            assert file.n_frames == 5 and file.info["duration"] == pytest.approx(167, abs=1)  # every second of 12
+            file.seek(2)
+            np.testing.assert_array_equal(np.asarray(file.convert("RGB")), single.rgb)
+    else:
+        with av.open(str(path)) as file:
+            frames = [f.to_ndarray(format="rgb24") for f in file.decode(video=0)]
+        assert len(frames) == 5 and np.abs(frames[2].astype(int) - single.rgb).mean() < 8
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_a_camera_path_over_a_clip(context: "Context", models: Path, tmp_path: Path) -> None:
+    """Both move: the picture of a frame is that of its time from its place."""
+    file = tmp_path / "path.toml"
+    file.write_text("[[key]]\ntime=0\neye=[0,2,8]\ntarget=[0,0,0]\n[[key]]\ntime=1\neye=[8,2,0]\ntarget=[0,0,0]\n")
+    scene = load(models / "AnimatedMorphCube/AnimatedMorphCube.glb")
+    chosen, path = Settings(aa=1, exposure=0.0), camera_path.read(file)
+    made = sequence.make(scene, chosen, "0:8:7", 12, move=path)
+    with Renderer(context=context) as renderer:
+        sequence.run(renderer, made, str(tmp_path / "{frame}.png"), SIZE)
+        want = renderer.render(scene, path.at(7 / 12, 7, scene.cameras[0]), SIZE, chosen.replace(time=7 / 12))
+    got = [np.asarray(Image.open(tmp_path / f"{n}.png")) for n in (0, 7)]
+    np.testing.assert_array_equal(got[1], want.rgb)
+    assert (got[0] != got[1]).any() and got[0].std() > 5
