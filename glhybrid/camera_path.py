@@ -230,7 +230,7 @@ def read(file: str | Path) -> CameraPath | CameraClip:
         eye = [0, 1, 5]                          # world, metres
         target = [0, 1, 0]
         up = [0, 1, 0]                           # the default
-        fov_y_deg = 45                           # the default; or half_height in metres in every key: orthographic
+        fov_y_deg = 45                           # the default; or height in metres in every key: orthographic
 
     Raises LoadError or SettingError naming file, key and value.
     """
@@ -257,14 +257,14 @@ def read(file: str | Path) -> CameraPath | CameraClip:
     root.finish()
     if not tables:
         raise LoadError(f"{path}: has no [[key]]: write one for each place of the camera, with time, eye and target")
-    rows, flat = [], "half_height" in tables[0]
+    rows, flat = [], "height" in tables[0]
     for table in tables:
         for key in ("time", "eye", "target"):
             table.need(key, f"{key} is missing")
-        if ("half_height" in table) != flat or (flat and "fov_y_deg" in table):
-            table.fail("a camera has fov_y_deg or half_height, the same in every key: it cannot change its kind")
+        if ("height" in table) != flat or (flat and "fov_y_deg" in table):
+            table.fail("a camera has fov_y_deg or height, the same in every key: it cannot change its kind")
         zoom = (
-            table.number("half_height", 1.0, POSITIVE) if flat
+            table.number("height", 1.0, POSITIVE) / 2 if flat
             else float(np.radians(table.number("fov_y_deg", FOV_Y, between(0.01, 179))))
         )  # fmt: skip
         up = table.vector("up", (0.0, 1.0, 0.0))

@@ -145,7 +145,7 @@ def model_scene() -> Any:
         (("eye = [5, 1, 0]", "eyes = [5, 1, 0]"), 'did you mean "eye"'),
         (("cubic", "cubik"), 'did you mean "cubic"'),
         (("fov_y_deg = 60", "fov_y_deg = 190"), "between"),
-        (("fov_y_deg = 60", "half_height = 2"), "fov_y_deg or half_height"),
+        (("fov_y_deg = 60", "height = 2"), "fov_y_deg or height"),
         (("fov_y_deg = 60", "up = [0, 0, 0]"), "must not be zero"),
         (("fov_y_deg = 60", "roll = 1"), "unknown key"),
         (('interpolation = "cubic"', "loop = true"), "3 keys or more"),
