@@ -33,6 +33,7 @@ class Features:
     specular_sky: bool = False  # the environment is seen in the specular lobe
     shadow_rays: bool = False  # hits and layers send their own
     shadow_bits: bool = False  # and their answers are yes or no, for at most 32 lights
+    light_discs: bool = False  # a light has a size, and rays go to all of its disc
     visibility: bool = False  # a shadow pass runs
     shadow_maps: bool = False  # and looks up depth maps, as do hits and layers
     map_filter: int = 0  # how (layout FILTER_*)
@@ -114,6 +115,9 @@ def find(scene: Scene, settings: Settings) -> Needs:
     technique = techniques.SHADOWS[settings.shadows]
     visibility = lit and settings.shadows != "none" and not reference
     shadow_maps = visibility and technique.depth_maps
+    light_discs = (
+        lit and (reference or settings.shadows == "ray-soft") and any(light.has_size for light in scene.lights)
+    )
     blended = any(m.alpha_mode == "BLEND" or m.transmission > 0 for m in materials)
     features = Features(
         spheres=any(isinstance(p, Sphere) for m in meshes for p in m.primitives),
@@ -132,14 +136,16 @@ def find(scene: Scene, settings: Settings) -> Needs:
         blurred_sky=environment and not reference,
         specular_sky=environment and settings.reflections not in ("none", "reference"),
         shadow_rays=lit and settings.shadows != "none",
-        shadow_bits=lit and settings.shadows != "none" and not shadow_maps and not blended and len(scene.lights) <= 32,
+        shadow_bits=lit and settings.shadows != "none" and not (shadow_maps or light_discs or blended)
+        and len(scene.lights) <= 32,
+        light_discs=light_discs,
         visibility=visibility,
         shadow_maps=shadow_maps,
         map_filter=_map_filter(settings) if shadow_maps else 0,
         reflections=reflections,
         emitters=reference and any(max(m.emissive) > 0 for m in materials),
         terminator=visibility and settings.terminator and not shadow_maps,
-    )
+    )  # fmt: skip
     skipped = []
     if not reference:
         if not visibility:
@@ -161,6 +167,7 @@ def find(scene: Scene, settings: Settings) -> Needs:
         ("spheres", features.spheres, "every shape is made of triangles"),
         ("clearcoat lobe", features.clearcoat, "no material is coated"),
         ("environment", features.environment, "the scene has none"),
+        *[("penumbras", light_discs, "no light has a size")] * (settings.shadows == "ray-soft" and visibility),
     ):
         if not present:
             skipped.append(f"{name}: {reason}")

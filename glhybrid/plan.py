@@ -64,7 +64,7 @@ def make(
     if reference:
         passes.append("reference")
     else:
-        shadow = "shadow_map" if features.shadow_maps else "shadow"
+        shadow = "shadow_map" if features.shadow_maps else "shadow_soft" if features.light_discs else "shadow"
         passes += [shadow] * features.visibility + ["reflect"] * features.reflections + ["composite"]
     passes.append("display")
     return Plan(features, levels, primary, tuple(passes), tuple(reasons), tuple(skipped))

@@ -21,6 +21,7 @@ from glhybrid.passes.reference import Reference
 from glhybrid.passes.reflect import Reflect
 from glhybrid.passes.shadow import Shadow
 from glhybrid.passes.shadow_map import ShadowMap
+from glhybrid.passes.shadow_soft import ShadowSoft
 from glhybrid.passes.sky import Sky
 from glhybrid.scene import Camera, Scene
 from glhybrid.settings import Settings
@@ -191,9 +192,12 @@ class Staged:
         self.targets = Targets(context, size)
         self._flipped = upload.flipped
         self.gbuffer = self._make_gbuffer()
-        self.shadow: Shadow | ShadowMap | None = None
+        self.shadow: Shadow | ShadowMap | ShadowSoft | None = None
         if features.shadow_maps:
             self.shadow = ShadowMap(context, shaders, upload, features, settings)
+            upload.resources.update(self.shadow.resources)
+        elif features.visibility and features.light_discs:
+            self.shadow = ShadowSoft(shaders, upload, features, settings)
             upload.resources.update(self.shadow.resources)
         elif features.visibility:
             self.shadow = Shadow(shaders, upload, features)
@@ -337,13 +341,13 @@ class Staged:
         count = self.settings.aa or 4
         for i in range(count):
             self._ids = None  # the pass images are of this sample's rays from here on
-            self.set(jitter_px=_jitter(i, count), accumulate=i / (i + 1))
+            self.set(jitter_px=_jitter(i, count), accumulate=i / (i + 1), number=i)
             yield i + 1, count, self.frame(timing)
 
     def aov(self, name: str, view: View) -> np.ndarray:
         """One AOV at the pixel centres, (H, W, ...), row 0 at the top."""
         if self._ids is None:
-            self.set(jitter_px=(0, 0), accumulate=0)
+            self.set(jitter_px=(0, 0), accumulate=0, number=0)
             self._ids = self.gbuffer.run(self.targets)
             if self.shadow is not None:
                 self.shadow.run(self.targets, self._ids, self._set_lights)
@@ -367,11 +371,10 @@ class Staged:
         count = len(self.upload.lights)
         if self.shadow is None:
             return np.ones((height, width, count), np.float32)
-        name = "visibility_tint" if self.features.blended else "visibility"
-        image = self.targets.get(name)
-        kind: Any = np.float16 if self.features.blended else np.uint8
+        image = self.targets.get(self.shadow.channel)
+        kind: Any = np.float16 if image.dtype == "f2" else np.uint8
         layers = np.frombuffer(image.read(), kind).reshape(count, height, width, -1)[:, ::-1]
-        values = layers[..., :3].astype(np.float32).mean(-1) / (1 if self.features.blended else 255)
+        values = layers[..., :3].astype(np.float32).mean(-1) / (255 if kind is np.uint8 else 1)
         return np.moveaxis(values, 0, -1).astype(np.float32)
 
     def receipt(self, view: View, timing: Timing, first_image_ms: float) -> dict[str, Any]:

@@ -189,6 +189,11 @@ class Light:
     name: str = ""
     node: int = -1
 
+    @property
+    def has_size(self) -> bool:
+        """Whether its shadows have penumbras."""
+        return (self.angular_diameter if self.kind == "directional" else self.radius) > 0
+
 
 @dataclass(frozen=True, eq=False)
 class Environment:

@@ -112,7 +112,9 @@ class Settings:
 
     shadows: str = _setting("ray", "shadow technique", str)
     reflections: str = _setting("ray-lerp", "reflection technique", str)
-    samples: int = _setting(64, "paths or rays per pixel of stochastic techniques", int, 1, 1 << 20)
+    samples: int = _setting(
+        64, "paths per pixel of the reference; other techniques have a parameter of that name", int, 1, 1 << 20
+    )
     bounces: int = _setting(8, "surface bounces after the first hit (reference)", int, 0, 64)
     aa: int | None = _setting(
         None, "jittered frames averaged; auto: 4 for PNG, 1 for EXR and NPZ", int, 1, 1024, auto=None

@@ -25,7 +25,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Technique:
-    """One way to make shadows or reflections. stochastic: uses `samples` rays per pixel and random numbers."""
+    """One way to make shadows or reflections. stochastic: uses random numbers; more samples, less noise."""
 
     kind: Kind
     name: str
@@ -112,7 +112,18 @@ _ALL = (
     ),
     Technique("shadows", "baked", "lightmap in its own UV set, traced once; static scenes"),
     Technique("shadows", "ray", "one any-hit ray per pixel and light", implemented=True, traced=True),
-    Technique("shadows", "ray-soft", "rays to the light's disc, denoised", stochastic=True, traced=True),
+    Technique(
+        "shadows",
+        "ray-soft",
+        "rays to the disc of every light that has a size",
+        implemented=True,
+        stochastic=True,
+        traced=True,
+        parameters=(
+            Parameter("samples", 4, "rays a pixel and light", 1, 4096),
+            Parameter("hit_samples", 1, "rays a light from what a reflection or a blended layer shows", 1, 64),
+        ),
+    ),
     Technique("reflections", "none", "no reflected light but the lights' highlights", implemented=True),
     Technique("reflections", "env", "prefiltered environment, without occlusion", implemented=True),
     Technique("reflections", "probe", "box-projected local cube map"),

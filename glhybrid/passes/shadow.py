@@ -16,12 +16,12 @@ class Shadow:
     def __init__(self, shaders: Shaders, scene: GpuScene, features: Features) -> None:
         self._program = shaders.compute("shadow", features)
         self._scene = scene
-        self._channel = "visibility_tint" if features.blended else "visibility"
+        self.channel = "visibility_tint" if features.blended else "visibility"
 
     def run(self, targets: Targets, ids: Any, set_lights: Any) -> Any:
         """set_lights(first, end) says which lights the next dispatch is for."""
         count = len(self._scene.lights)
-        visibility = targets.get(self._channel, layers=count)
+        visibility = targets.get(self.channel, layers=count)
         resources = {**self._scene.resources, "gbuffer_id": ids, "out_visibility": visibility}
         for first in range(0, count, LIGHTS_AT_ONCE):
             if count > LIGHTS_AT_ONCE or first:

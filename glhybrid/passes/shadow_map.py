@@ -35,7 +35,7 @@ class ShadowMap:
         self, context: Context, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings
     ) -> None:
         self._context, self._scene, self._settings = context, scene, settings
-        self._channel = "visibility_tint" if features.blended else "visibility"
+        self.channel = "visibility_tint" if features.blended else "visibility"
         self._fit = fit = shadow_fit.Fit.of(settings)
         self._owned: list[Any] = []
         self._drawn = False
@@ -136,7 +136,7 @@ class ShadowMap:
         if not self._drawn or self._settings.shadows == "csm":
             self.draw()
         count = len(self._scene.lights)
-        visibility = targets.get(self._channel, layers=count)
+        visibility = targets.get(self.channel, layers=count)
         resources = {**self._scene.resources, **self.resources, "gbuffer_id": ids, "out_visibility": visibility}
         for first in range(0, count, LIGHTS_AT_ONCE):
             if count > LIGHTS_AT_ONCE or first:

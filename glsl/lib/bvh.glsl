@@ -231,6 +231,7 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
             again = false;
             vec3 through = transmittance_at(group, candidate, ray, front, see);
             tint *= through;
+            if (!closest && max3(through) < 1.0) hit = candidate;
             if (max3(closest ? through : tint) <= 0.0) {
                 hit = candidate;
                 t_max = candidate.t;
@@ -260,6 +261,15 @@ vec3 any_hit(Ray ray) {
     Hit hit = MISS;
     vec3 tint = vec3(1.0);
     traverse(ray, SEE_BLOCKERS, hit, tint);
+    return tint;
+}
+
+// The same, and how far away something blocks or tints, if not the nearest; INFINITY: nothing does.
+vec3 any_hit(Ray ray, out float distance) {
+    Hit hit = MISS;
+    vec3 tint = vec3(1.0);
+    traverse(ray, SEE_BLOCKERS, hit, tint);
+    distance = hit.t;
     return tint;
 }
 

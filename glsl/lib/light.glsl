@@ -21,4 +21,21 @@ LightSample light_at(Light light, vec3 position_ws) {
     return s;
 }
 
+#if USE_LIGHT_DISCS
+// A ray to the disc that a light with a size shows: a sphere of even radiance, or a sun. Drawn evenly over the projected
+// solid angle as seen from a surface that faces it, whose irradiance stays what it was: with f for BSDF times N.L, f / cos_axis
+// times irradiance has the mean that the whole disc gives.
+LightSample toward_disc(LightSample s, Light light, vec2 xi, out float cos_axis) {
+    bool sun = light.kind == LIGHT_DIRECTIONAL;
+    float sin_disc = sun ? light.size * inversesqrt(1.0 + square(light.size)) : min(light.size / s.distance, 0.9999);
+    float sin_axis = sin_disc * sqrt(xi.x), phi = 2.0 * PI * xi.y;
+    cos_axis = sqrt(1.0 - square(sin_axis));
+    LightSample to = s;
+    to.dir = normalize(basis(s.dir) * vec3(sin_axis * cos(phi), sin_axis * sin(phi), cos_axis));
+    if (!sun)                                                              // up to the sphere
+        to.distance = max(s.distance * cos_axis - sqrt(max(square(light.size) - square(s.distance * sin_axis), 0.0)), 0.0);
+    return to;
+}
+#endif
+
 bool arrives(LightSample s) { return max3(s.irradiance) > 0.0; }

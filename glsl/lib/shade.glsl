@@ -4,6 +4,7 @@
 #include "lib/light.glsl"
 #include "lib/environment.glsl"
 #include "lib/shadow_map.glsl"
+#include "lib/low_discrepancy.glsl"
 
 #if USE_SPECULAR_SKY || USE_REFLECTIONS
 uniform sampler2D dfg;    // (F0 scale, F90 bias) over (NoV, roughness): Karis, "Real Shading in Unreal Engine 4" (2013)
@@ -24,9 +25,29 @@ bool faces(Surface s, vec3 l) {
     return (TERMINATOR || dot(s.point.n_geo, l) > 0.0) && (dot(s.bsdf.n, l) > 0.0 || (CLEARCOAT && dot(s.bsdf.n_coat, l) > 0.0)) && !s.unlit;
 }
 
-// The share of a light that arrives here: 0 or 1, between through tinted surfaces.
-vec3 visibility_of(Point p, LightSample sample_ws) {
-    return any_hit(Ray(ray_origin(p, sample_ws.dir), 0.0, sample_ws.dir, sample_ws.distance));
+#if USE_LIGHT_DISCS
+uniform int disc_rays;    // to a light with a size, from points that a reflection or a layer shows
+
+// Rays to the light's disc from a point that no pixel stands for: its coordinates turn the sequence.
+vec3 disc_visibility(Point p, LightSample l, uint light) {
+    uvec3 x = floatBitsToUint(p.position);
+    uvec2 start = sequence_start(ivec2(pcg(x.x ^ pcg(x.y)), pcg(x.z)), light, frame.seed);
+    vec3 sum = vec3(0.0);
+    for (int i = 0; i < disc_rays; i++) {
+        float cos_axis;
+        LightSample to = toward_disc(l, lights[light], sequence_point(start, frame.number * uint(disc_rays) + uint(i)), cos_axis);
+        if (dot(p.n_geo, to.dir) > 0.0) sum += any_hit(Ray(ray_origin(p, to.dir), 0.0, to.dir, to.distance));
+    }
+    return sum / float(disc_rays);
+}
+#endif
+
+// The share of a light that arrives here: 0 or 1, between through tinted surfaces and in penumbras.
+vec3 visibility_of(Point p, LightSample l, uint light) {
+#if USE_LIGHT_DISCS
+    if (lights[light].size > 0.0) return disc_visibility(p, l, light);
+#endif
+    return any_hit(Ray(ray_origin(p, l.dir), 0.0, l.dir, l.distance));
 }
 
 // The same where the technique of shadows says how: a ray, or a look into the light's depth map.
@@ -34,7 +55,7 @@ vec3 visibility_from(Point p, LightSample sample_ws, uint light) {
 #if USE_SHADOW_MAPS
     return vec3(map_visibility(p, sample_ws.dir, light));
 #else
-    return visibility_of(p, sample_ws);
+    return visibility_of(p, sample_ws, light);
 #endif
 }
 
@@ -105,7 +126,7 @@ vec3 shade_hit(Hit hit, Ray ray, float footprint) {
     Point p = point_at(hit, ray);
     for (uint i = 0u; i < frame.light_count; i++) {
         LightSample l = light_at(lights[i], p.position);
-        if (arrives(l) && dot(p.n_geo, l.dir) > 0.0) lit |= visibility_of(p, l).x > 0.0 ? 1u << i : 0u;
+        if (arrives(l) && dot(p.n_geo, l.dir) > 0.0) lit |= visibility_of(p, l, i).x > 0.0 ? 1u << i : 0u;
     }
 #endif
     Surface s = surface_at(hit, ray, footprint);

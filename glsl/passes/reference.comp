@@ -71,8 +71,12 @@ vec3 lamps(Surface s, vec3 v) {
     if (frame.light_count > 0u) {
         uint i = min(uint(random_float() * float(frame.light_count)), frame.light_count - 1u);
         LightSample l = light_at(lights[i], s.point.position);
+        float cos_axis = 1.0;
+#if USE_LIGHT_DISCS
+        if (lights[i].size > 0.0) l = toward_disc(l, lights[i], random_vec2(), cos_axis);
+#endif
         if (arrives(l) && above(s, l.dir))
-            sum = bsdf_eval(s.bsdf, v, l.dir) * l.irradiance * float(frame.light_count)
+            sum = bsdf_eval(s.bsdf, v, l.dir) * l.irradiance * (float(frame.light_count) / cos_axis)
                 * any_hit(Ray(ray_origin(s.point, l.dir), 0.0, l.dir, l.distance));
     }
     return sum;

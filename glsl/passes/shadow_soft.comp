@@ -1,0 +1,66 @@
+// passes/shadow_soft.comp -- any-hit rays to the disc that each light shows, where a surface faces it; one to a light
+// without a size, as passes/shadow.comp.
+// The share that arrives is a ratio of sums weighted by N.L over the disc: where nothing blocks it is 1 without noise
+// (Heitz et al., "Combining Analytic Direct Illumination and Stochastic Shadows", I3D 2018).
+#include "lib/shade.glsl"
+#include "lib/terminator.glsl"
+#include "lib/tile.glsl"
+
+layout(rgba16f) uniform image2DArray out_visibility;    // tint, half width of the penumbra
+uniform int rays, ray_first, ray_end;                   // a light; those of this dispatch
+
+const uint SHADOW_SEQUENCE = 0x5AD0u;
+
+vec4 disc_rays_from(Point from, Surface s, LightSample l, uint light, ivec2 px, uint first, uint end) {
+    uvec2 start = sequence_start(px, SHADOW_SEQUENCE + light, frame.seed);
+    float size = lights[light].kind == LIGHT_DIRECTIONAL ? lights[light].size : lights[light].size / l.distance;
+    vec3 sum = vec3(0.0);
+    float weights = 0.0, width = 0.0, blocked = 0.0;
+    for (uint i = first; i < end; i++) {
+        float cos_axis, distance = INFINITY;
+        LightSample to = toward_disc(l, lights[light], sequence_point(start, frame.number * uint(rays) + i), cos_axis);
+        // Lobes of base and coat share one visibility; where the light is behind one normal the other weighs.
+        float NoL = max(dot(s.bsdf.n, to.dir), CLEARCOAT ? dot(s.bsdf.n_coat, to.dir) : 0.0) / cos_axis;
+        if (NoL <= 0.0) continue;
+        weights += NoL;
+        if (TERMINATOR || dot(s.point.n_geo, to.dir) > 0.0)
+            sum += NoL * any_hit(Ray(shadow_origin(from, to.dir), 0.0, to.dir, to.distance), distance);
+        if (distance < INFINITY) {
+            width += distance * size;
+            blocked += 1.0;
+        }
+    }
+    return vec4(weights > 0.0 ? sum / weights : vec3(0.0), blocked > 0.0 ? min(width / blocked, 6e4) : 0.0);
+}
+
+void main() {
+    ivec2 px = tile_pixel();
+    if (any(greaterThanEqual(px, frame.size_px))) return;                  // groups overhang the edge
+    Pixel p = load_pixel(px);
+    Surface s;
+    Point from;
+    if (covered(p)) {
+        s = load_surface(p);
+        from = shadow_point(p, s);
+    }
+    for (uint i = frame.light_first; i < frame.light_end; i++) {
+        bool disc = lights[i].size > 0.0;
+        uint first = uint(ray_first), end = disc ? uint(ray_end) : 1u;
+        if (first >= end) continue;
+        vec4 result = vec4(0.0);
+        if (covered(p)) {
+            LightSample l = light_at(lights[i], s.point.position);
+            if (arrives(l) && faces(s, l.dir)) {
+                if (disc) result = disc_rays_from(from, s, l, i, px, first, end);
+                else result.rgb = any_hit(Ray(shadow_origin(from, l.dir), 0.0, l.dir, l.distance));
+            }
+        }
+        if (first > 0u) {
+            vec4 before = imageLoad(out_visibility, ivec3(px, i));
+            result.rgb = mix(before.rgb, result.rgb, float(end - first) / float(end));
+            if (min(before.a, result.a) > 0.0) result.a = 0.5 * (before.a + result.a);
+            else result.a = max(before.a, result.a);
+        }
+        imageStore(out_visibility, ivec3(px, i), result);
+    }
+}
