@@ -46,6 +46,7 @@ class Features:
     moving: bool = False  # the motion AOV is asked for and things move
     deforming: bool = False  # and some of them change shape
     step_counter: bool = False
+    buffer_array: bool = False  # Mesa's software renderer: see lib/buffers.glsl
     moeller_trumbore: bool = False  # tests only: the control that must leak
     bvh_stack: int = 0  # entries, from the depth of the trees
     bvh_inner_steps: int = 3  # inner nodes in a row, before a leaf

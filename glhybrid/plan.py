@@ -52,7 +52,10 @@ def make(
             else "primary visibility is traced: compute reaches a GPU's memory faster than its raster units"
         )  # fmt: skip
     features = found.features.replace(
-        two_level=levels == 2, clip_control=clip_control, bvh_inner_steps=1 << 20 if software else 3
+        two_level=levels == 2,
+        clip_control=clip_control,
+        bvh_inner_steps=1 << 20 if software else 3,
+        buffer_array=software,
     )
     skipped = list(found.skipped)
     passes = ["gbuffer"]

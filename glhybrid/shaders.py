@@ -6,7 +6,7 @@ so equal programs are shared. Binding numbers are counted here and nowhere else.
 
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,8 @@ Resource = moderngl.Texture | moderngl.TextureArray | moderngl.Buffer | BufferTe
 
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$', re.MULTILINE)
 _WORD = re.compile(r"\b[A-Z][A-Z0-9_]+\b")
+BUFFERS = ("attributes", "tangents", "nodes", "slots", "triangles", "vertices")  # as in lib/buffers.glsl
+_OPTIONAL = {"attributes": "USE_EXTRA_ATTRIBUTES", "tangents": "USE_TANGENTS"}  # those that not every scene has
 _VERSION = "#version 430 core\n"
 _IMAGE_TYPES = range(0x904C, 0x906D)  # GL_IMAGE_1D .. GL_UNSIGNED_INT_IMAGE_2D_MULTISAMPLE_ARRAY
 _SAMPLER_TYPES = {0x8B5E, 0x8DC1, 0x8DD2, 0x8DD0, 0x8DD8, 0x8DC2, 0x8B60, 0x8DCA}
@@ -85,9 +87,9 @@ class Source:
 
 
 class Program:
-    """A linked program whose resources are given by their GLSL names."""
+    """A linked program whose resources are given by their GLSL names. unread: of BUFFERS, what its text leaves out."""
 
-    def __init__(self, context: Context, name: str, program: Any) -> None:
+    def __init__(self, context: Context, name: str, program: Any, unread: Collection[str] = ()) -> None:
         self.name = name
         self.program = program
         self._context = context
@@ -101,7 +103,14 @@ class Program:
                 blocks += 1
             elif isinstance(handle, moderngl.Uniform):
                 kind = handle.gl_type  # type: ignore[attr-defined]  # missing in moderngl's stub
-                if kind in _SAMPLER_TYPES:
+                if member == "buffers":
+                    for k, buffer in enumerate(BUFFERS[: handle.array_length]):
+                        # Elements that are not read stand at a slot of their own type: types must not clash.
+                        context.raw.glProgramUniform1i(program.glo, handle.location + k, samplers)
+                        if buffer not in unread:
+                            self._bind[buffer] = self._sampler_binder(samplers)
+                            samplers += 1
+                elif kind in _SAMPLER_TYPES:
                     context.raw.set_sampler(program, member, samplers)
                     self._bind[member] = self._sampler_binder(samplers)
                     samplers += 1
@@ -185,7 +194,7 @@ class Shaders:
         self._made[key] = (source.path,), features
         if key not in self._programs:
             name = f"{stem} {_label(named)}".strip()
-            self._programs[key] = self._link(name, (source,), lambda: self._context.gl.compute_shader(text))
+            self._programs[key] = self._link(name, (source,), lambda: self._context.gl.compute_shader(text), named)
         return self._programs[key]
 
     def text(self, stem: str) -> bytes:
@@ -202,12 +211,15 @@ class Shaders:
         if key not in self._programs:
             name = f"{stem} {_label(named)}".strip()
             make = lambda: self._context.gl.program(vertex_shader=vertex_text, fragment_shader=fragment_text)  # noqa: E731
-            self._programs[key] = self._link(name, (vertex, fragment), make)
+            self._programs[key] = self._link(name, (vertex, fragment), make, named)
         return self._programs[key]
 
-    def _link(self, name: str, sources: tuple[Source, ...], make: Callable[[], Any]) -> Program:
+    def _link(
+        self, name: str, sources: tuple[Source, ...], make: Callable[[], Any], named: Mapping[str, int]
+    ) -> Program:
+        unread = [buffer for buffer, feature in _OPTIONAL.items() if not named.get(feature)]
         try:
-            return Program(self._context, name, make())
+            return Program(self._context, name, make(), unread)
         except moderngl.Error as error:
             log = str(error)
             for source in sources[-1:] if "fragment" in log else sources[:1]:

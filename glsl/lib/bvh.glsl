@@ -8,9 +8,6 @@
 #include "lib/geometry.glsl"
 #include "lib/texture.glsl"
 
-uniform usamplerBuffer nodes;   // 2 texels each
-uniform usamplerBuffer slots;   // 3 texels each: v0, triangle; v1, geometry; v2, kind
-
 const uint LEAF = 0x80000000u;
 const uint REF_END = 0xFFFFFFFFu;      // bottom of the stack
 const uint REF_RETURN = 0xFFFFFFFEu;   // the instance is done: back to the world's ray

@@ -1,17 +1,8 @@
 // lib/geometry.glsl -- the scene's tables, and from a hit to an exact point.
-// Large arrays are read through buffer textures (the fast path on Mesa's llvmpipe, never slower on NVIDIA), small ones
-// through storage blocks. Floats travel as bits in RGBA32UI texels, so that ids and coordinates share one fetch.
+// Large arrays are read through buffer textures, small ones through storage blocks.
 #include "lib/frame.glsl"
+#include "lib/buffers.glsl"
 #include "lib/math.glsl"
-
-uniform usamplerBuffer vertices;     // 2 texels each: position, u; normal, v (a sphere: centre, 0; radius, 0, 0, 0)
-uniform usamplerBuffer triangles;    // 1 texel each: three rows of vertices, geometry index in its mesh
-#if USE_TANGENTS
-uniform usamplerBuffer tangents;     // 1 texel a vertex: direction, handedness
-#endif
-#if USE_EXTRA_ATTRIBUTES
-uniform usamplerBuffer attributes;   // 1 texel a vertex: second uv set, colour as 4 x half
-#endif
 
 layout(std430) readonly buffer Instances { Instance instances[]; };
 layout(std430) readonly buffer Records { Record records[]; };

@@ -3,7 +3,7 @@
 #include "lib/math.glsl"
 #include "lib/tile.glsl"
 
-uniform sampler2D radiance;
+layout(rgba32f) readonly uniform image2D radiance;
 layout(rgba8) writeonly uniform image2D out_display;
 layout(std430) readonly buffer Exposure { float exposure_ev; };
 
@@ -47,7 +47,7 @@ void main() {
     ivec2 px = tile_pixel();
     if (any(greaterThanEqual(px, frame.size_px))) return;                  // groups overhang the edge
     // Up to what every curve can square without overflow.
-    vec3 c = clamp(texelFetch(radiance, px, 0).rgb * exp2(exposure_ev), 0.0, 1e9);
+    vec3 c = clamp(imageLoad(radiance, px).rgb * exp2(exposure_ev), 0.0, 1e9);
     if (frame.tone_map == TONE_ACES) c = tone_aces(c);
     if (frame.tone_map == TONE_AGX) c = tone_agx(c);
     if (frame.tone_map == TONE_PBR_NEUTRAL) c = tone_pbr_neutral(c);

@@ -3,7 +3,7 @@
 #include "lib/math.glsl"
 
 layout(local_size_x = 64) in;
-uniform sampler2D radiance;
+layout(rgba32f) readonly uniform image2D radiance;
 layout(std430) buffer Exposure { float exposure_ev; };
 shared vec2 partial[64];
 
@@ -15,7 +15,7 @@ void main() {
     vec2 sum = vec2(0.0);
     for (int n = i; n < steps.x * steps.y; n += 64) {
         ivec2 px = ivec2((vec2(n % steps.x, n / steps.x) + 0.5) / vec2(steps) * vec2(frame.size_px));
-        float l = luminance(texelFetch(radiance, px, 0).rgb);
+        float l = luminance(imageLoad(radiance, px).rgb);
         if (l > 0.0 && l < INFINITY) sum += vec2(log2(clamp(l, 1e-6, 1e6)), 1.0);   // black pixels say nothing
     }
     partial[i] = sum;

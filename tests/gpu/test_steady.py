@@ -12,7 +12,7 @@ from rays import moved, scene_of
 import glhybrid as gh
 from glhybrid import layout
 from glhybrid.load.shapes import box, torus
-from glhybrid.scene import Camera, Environment, Light, Material, Scene, Sphere
+from glhybrid.scene import Camera, Environment, Image, Light, Material, Scene, Sphere, Texture
 from glhybrid.shaders import Program
 from glhybrid.timing import Timing
 from glhybrid.view import make_view
@@ -127,3 +127,31 @@ def test_a_rebased_world_has_the_matrices_of_its_poses(renderer: gh.Renderer) ->
         for name, want in (("world_from_object", poses), ("object_from_world", inverse)):
             got = rows[name][:, :, :3].swapaxes(1, 2)
             assert np.allclose(got, want[:, :3], rtol=3e-7, atol=1e-6), name
+
+
+def test_buffers_keep_to_themselves_on_mesa(renderer: gh.Renderer) -> None:
+    """Mesa compiles a program again where a buffer's slot holds the sampler state of another program's texture.
+
+    Slots are counted in the order of declaration: the buffers' array comes first, whole, in every program that has
+    samplers at all; so no texture ever stands in a slot where another program has a buffer.
+    """
+    if not renderer.context.device.software:
+        pytest.skip("about Mesa's software renderer only")
+    from glhybrid.shaders import _SAMPLER_TYPES, BUFFERS
+
+    rng = np.random.default_rng(0)
+    checker = Texture(Image(rng.integers(0, 255, (8, 8, 4)).astype(np.uint8)))
+    scene = crowd(9).replace(environment=Environment(rng.uniform(0, 1, (8, 16, 3)).astype(np.float32)))
+    scene = scene.replace(materials=(Material(roughness=0.2, textures={"base_color": checker}),))
+    staged = renderer.stage(scene, gh.Settings(primary="trace"), SIZE)
+    one_frame(staged, Camera.look_at((9, 9, 9), (0, 0, 0)))
+    seen = 0
+    for program in renderer.shaders._programs.values():
+        uniforms = [program.program[name] for name in program.program]
+        samplers = [u for u in uniforms if getattr(u, "gl_type", None) in _SAMPLER_TYPES]
+        if not samplers:
+            continue
+        first = min(samplers, key=lambda u: u.location)
+        assert (first.name, first.array_length) == ("buffers", len(BUFFERS)), (program.name, first.name)
+        seen += len(samplers) > 1
+    assert seen >= 3  # shadow, reflect and composite read textures too
