@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from glhybrid import layout
+from glhybrid import layout, techniques
 from glhybrid.context import Context
 from glhybrid.scene import F64, Scene
 from glhybrid.settings import Settings
@@ -35,7 +35,7 @@ class FrameConstants:
         auto = settings.exposure == "auto"
         self.put(
             seed=settings.seed, bounces=settings.bounces, exposure_ev=0.0 if auto else settings.exposure,
-            auto_exposure=auto, mirror_cutoff=settings.parameter("reflections.ray-lerp.cutoff"),
+            auto_exposure=auto, mirror_cutoff=techniques.cutoff(settings),
             tone_map=layout.CONSTANTS[f"TONE_{settings.tone.upper().replace('-', '_')}"],
             environment_x=(np.cos(angle), 0, -np.sin(angle)), environment_z=(np.sin(angle), 0, np.cos(angle)),
             environment_intensity=scene.environment.intensity if scene.environment else 0.0,

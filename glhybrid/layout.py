@@ -188,6 +188,13 @@ CONSTANTS: dict[str, int] = {
     "REASON_ROUGH": 1,         # too rough to spend a ray
     "REASON_BELOW": 2,         # the direction pointed under the surface and was bent back
     "REASON_ENVIRONMENT": 3,   # no object in that direction
+    "REASON_OFF_SCREEN": 4,    # the march left the picture
+    "REASON_HIDDEN": 5,        # it went behind something that is seen
+    "REASON_BACK_FACE": 6,     # it came upon a surface from behind
+    "REASON_FACING": 7,        # it came to the camera
+    "REASON_STEPS": 8,         # it ran out of steps
+    "REASON_THICKNESS": 9,     # answered by a guess: what is seen there counts as so thick
+    "REASON_OUTSIDE_PROBE": 10,  # in no probe's box
 }  # fmt: skip
 
 PREFILTER_SIZES = (128, 64, 32, 16, 16, 16, 16)  # octahedral map of roughness 1/7, 2/7 .. 1: lobes widen, maps shrink
@@ -279,6 +286,7 @@ CHANNELS: dict[str, Channel] = {
         Channel("visibility_tint", 4, "f2", "rgba16f", "the same through tinted surfaces"),
         Channel("visibility_soft", 4, "f2", "rgba16f", "the same with penumbras; their half width, m, 0 = not known"),
         Channel("reflection", 4, "f4", "rgba32f", "radiance along the mirror direction, distance to what is seen"),
+        Channel("screen_plane", 4, "f4", "rgba32f", "screen depth, its change along x and y, whether anything is seen"),
         Channel("radiance", 4, "f4", "rgba32f", "linear Rec. 709 radiance, coverage"),
         Channel("aov", 4, "u4", "rgba32ui", "bits of one AOV"),
         Channel("reason", 1, "u1", "r8ui", "REASON_*"),

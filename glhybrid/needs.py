@@ -37,7 +37,9 @@ class Features:
     visibility: bool = False  # a shadow pass runs
     shadow_maps: bool = False  # and looks up depth maps, as do hits and layers
     map_filter: int = 0  # how (layout FILTER_*)
-    reflections: bool = False  # the reflect pass runs
+    reflections: bool = False  # a pass for what the mirror direction shows runs
+    mirror_rays: bool = False  # and traces, as do blended layers
+    march: bool = False  # and looks into the G-buffer first
     emitters: bool = False  # reference: some triangles shine
     terminator: bool = False
     reason: bool = False
@@ -110,9 +112,10 @@ def find(scene: Scene, settings: Settings) -> Needs:
     )
     lit = bool(scene.lights) and not all(m.unlit for m in materials)
     reference = settings.reflections == "reference"
-    cutoff = settings.parameter("reflections.ray-lerp.cutoff")
+    cutoff = techniques.cutoff(settings)
     mirrors = any(reflective(m, cutoff) for m in materials)
-    reflections = settings.reflections == "ray-lerp" and mirrors
+    reflecting = techniques.REFLECTIONS[settings.reflections]
+    reflections = reflecting.mirror_pass != "" and mirrors
     technique = techniques.SHADOWS[settings.shadows]
     visibility = lit and settings.shadows != "none" and not reference
     shadow_maps = visibility and technique.depth_maps
@@ -144,6 +147,8 @@ def find(scene: Scene, settings: Settings) -> Needs:
         shadow_maps=shadow_maps,
         map_filter=_map_filter(settings) if shadow_maps else 0,
         reflections=reflections,
+        mirror_rays=reflections and reflecting.traced,
+        march=reflections and reflecting.mirror_pass == "ssr",
         emitters=reference and any(max(m.emissive) > 0 for m in materials),
         terminator=visibility and settings.terminator and not shadow_maps,
     )  # fmt: skip

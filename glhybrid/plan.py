@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from glhybrid import needs
+from glhybrid import needs, techniques
 from glhybrid.deform import at_time
 from glhybrid.geometry import choose_levels
 from glhybrid.motion import Motion, wanted
@@ -68,9 +68,15 @@ def make(
         passes.append("reference")
     else:
         shadow = "shadow_map" if features.shadow_maps else "shadow_soft" if features.light_discs else "shadow"
-        passes += [shadow] * features.visibility + ["reflect"] * features.reflections + ["composite"]
+        passes += [shadow] * features.visibility + _mirror_passes(features, settings) + ["composite"]
     passes.append("display")
     return Plan(features, levels, primary, tuple(passes), tuple(reasons), tuple(skipped))
+
+
+def _mirror_passes(features: Features, settings: Settings) -> list[str]:
+    if not features.reflections:
+        return []
+    return ["screen_depth"] * features.march + [techniques.REFLECTIONS[settings.reflections].mirror_pass]
 
 
 def deforming_reason(shapes: int, rebuild: float) -> str:

@@ -23,6 +23,7 @@ from glhybrid.passes.shadow import Shadow
 from glhybrid.passes.shadow_map import ShadowMap
 from glhybrid.passes.shadow_soft import ShadowSoft
 from glhybrid.passes.sky import Sky
+from glhybrid.passes.ssr import Ssr
 from glhybrid.scene import Camera, Scene
 from glhybrid.settings import Settings
 from glhybrid.shaders import Shaders
@@ -180,6 +181,8 @@ class Staged:
             bvh_stack=max(upload.stack_entries, upload.stack_needed()),
             reason="reason" in aovs,
             reflections=features.reflections and not empty,
+            mirror_rays=features.mirror_rays and not empty,
+            march=features.march and not empty,
             visibility=features.visibility and not empty,
             shadow_maps=features.shadow_maps and not empty,
             shadow_rays=features.shadow_rays and not empty,
@@ -201,7 +204,11 @@ class Staged:
             upload.resources.update(self.shadow.resources)
         elif features.visibility:
             self.shadow = Shadow(shaders, upload, features)
-        self.reflect = Reflect(shaders, upload, features) if features.reflections else None
+        self.reflect: Reflect | Ssr | None = None
+        if features.march:
+            self.reflect = Ssr(shaders, upload, features, settings)
+        elif features.reflections:
+            self.reflect = Reflect(shaders, upload, features)
         reference = settings.reflections == "reference" and not empty  # without a tree there is only the background
         self.reference = Reference(context, shaders, upload, features) if reference else None
         self.composite = Composite(shaders, upload, features) if not reference else None
@@ -309,13 +316,20 @@ class Staged:
         targets, run = self.targets, timing.run
         timing.frame()
         assert self.composite is not None
-        visibility = reflection = None
+        visibility = None
         ids = run("gbuffer", lambda: self.gbuffer.run(targets))
         if self.shadow is not None:
             visibility = run(self.shadow.name, lambda: self.shadow.run(targets, ids, self._set_lights))  # type: ignore[union-attr]
-        if self.reflect is not None:
-            reflection = run("reflect", lambda: self.reflect.run(targets, ids))  # type: ignore[union-attr]
+        reflection = self._reflection(run, ids, visibility)
         return run("composite", lambda: self.composite.run(targets, ids, visibility, reflection))  # type: ignore[union-attr]
+
+    def _reflection(self, run: Callable[[str, Callable[[], Any]], Any], ids: Any, visibility: Any) -> Any:
+        """What the mirror direction shows, by the technique in use."""
+        reflect, targets = self.reflect, self.targets
+        if isinstance(reflect, Ssr):
+            screen = run(reflect.screen.name, lambda: reflect.screen.run(targets, ids))
+            return run(reflect.name, lambda: reflect.run(targets, ids, visibility, screen))
+        return run(reflect.name, lambda: reflect.run(targets, ids)) if reflect is not None else None
 
     def _set_lights(self, first: int, end: int) -> None:
         self.set(light_first=first, light_end=end)
@@ -349,10 +363,10 @@ class Staged:
         if self._ids is None:
             self.set(jitter_px=(0, 0), accumulate=0, number=0)
             self._ids = self.gbuffer.run(self.targets)
+            visibility = None
             if self.shadow is not None:
-                self.shadow.run(self.targets, self._ids, self._set_lights)
-            if self.reflect is not None:
-                self.reflect.run(self.targets, self._ids)
+                visibility = self.shadow.run(self.targets, self._ids, self._set_lights)
+            self._reflection(lambda _, work: work(), self._ids, visibility)
         width, height = self.targets.size
         if name == "visibility":
             return self._visibility(height, width)

@@ -4,9 +4,12 @@ A technique that a later version brings is listed too, so that asking for it say
 """
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from glhybrid.errors import SettingError, unknown
+
+if TYPE_CHECKING:
+    from glhybrid.settings import Settings
 
 Kind = Literal["shadows", "reflections"]
 
@@ -34,6 +37,7 @@ class Technique:
     stochastic: bool = False
     traced: bool = False  # needs the tree
     depth_maps: bool = False
+    mirror_pass: str = ""  # of reflections: the pass that answers what the mirror direction shows
     parameters: tuple[Parameter, ...] = ()
 
     def key(self, parameter: Parameter) -> str:
@@ -55,6 +59,8 @@ def _depth_map(*own: Parameter) -> tuple[Parameter, ...]:
     )
 
 
+_CUTOFF = Parameter("cutoff", 1.0, "roughness from which the blurred sky stands in and nothing is looked for", 0.0, 1.0)
+_STEPS = Parameter("steps", 256, "cells of the depth pyramid that a ray looks at, at most", 1, 65536)
 _PLANE = Parameter("receiver_plane", True, "each tap is compared with the depth of the receiver's plane there")
 
 _ALL = (
@@ -127,18 +133,40 @@ _ALL = (
     Technique("reflections", "none", "no reflected light but the lights' highlights", implemented=True),
     Technique("reflections", "env", "prefiltered environment, without occlusion", implemented=True),
     Technique("reflections", "probe", "box-projected local cube map"),
-    Technique("reflections", "ssr", "march in the G-buffer, environment where it fails"),
+    Technique(
+        "reflections",
+        "ssr",
+        "march in the G-buffer, environment where it fails",
+        implemented=True,
+        mirror_pass="ssr",
+        parameters=(
+            _CUTOFF,
+            _STEPS,
+            Parameter("thickness", 0.02, "what is seen counts as so thick: share of its distance", 0.0, 1e6),
+            Parameter("thickness_m", 0.0, "the same in m, added", 0.0, 1e9),
+            Parameter("fade", 0.05, "share of the picture's sides over which hits fade to its border", 0.0, 0.5),
+        ),
+    ),
     Technique(
         "reflections",
         "ray-lerp",
         "one mirror ray, its hit lit with its own shadow ray, mixed by roughness with the blurred sky",
         implemented=True,
         traced=True,
+        mirror_pass="reflect",
         parameters=(
             Parameter("cutoff", 1.0, "roughness from which no ray is sent and the blurred sky stands in", 0.0, 1.0),
         ),
     ),
-    Technique("reflections", "ssr-ray", "screen space first, a ray where that fails", traced=True),
+    Technique(
+        "reflections",
+        "ssr-ray",
+        "screen space first, a ray where that fails",
+        implemented=True,
+        traced=True,
+        mirror_pass="ssr",
+        parameters=(_CUTOFF, _STEPS),
+    ),
     Technique("reflections", "ray-glossy", "GGX-sampled rays, denoised", stochastic=True, traced=True),
     Technique(
         "reflections",
@@ -165,6 +193,12 @@ def find(kind: str, name: object) -> Technique:
         have = ", ".join(t.name for t in table.values() if t.implemented)
         raise SettingError(f'{kind} technique "{name}" ({technique.summary}) is not in this version; it has: {have}')
     return technique
+
+
+def cutoff(settings: "Settings") -> float:
+    """Roughness from which the technique of reflections looks for nothing along the mirror direction."""
+    key = f"reflections.{settings.reflections}.cutoff"
+    return float(settings.parameter(key)) if key in parameters() else 1.0
 
 
 def parameters() -> dict[str, Parameter]:

@@ -150,15 +150,11 @@ vec3 layer_transmittance(Surface s, vec3 v) { return 1.0 - s.alpha * (1.0 - tran
 
 const int MAX_LAYERS = 8;    // of blended surfaces along one ray; those behind are not drawn
 
-// Radiance along a ray whose cone has width_0 at its origin and widens by `spread` a metre: what a reflection shows.
-vec3 trace_radiance(Ray ray, float width_0, float spread, out Hit hit) {
-    hit = closest_hit(ray);
-    vec3 radiance = vec3(0.0);
-    if (hit.triangle == ID_NONE) radiance = environment_radiance(ray.dir);
-    else radiance = shade_hit(hit, ray, width_0 + spread * hit.t);
 #if USE_BLENDED
+// What the blended surfaces along a ray, up to a distance, add to and leave of the radiance behind them.
+vec3 through_layers(Ray ray, float width_0, float spread, float t_end, vec3 radiance) {
     vec3 through = vec3(1.0), layers = vec3(0.0);
-    Ray rest = Ray(ray.origin, ray.t_min, ray.dir, hit.t);
+    Ray rest = Ray(ray.origin, ray.t_min, ray.dir, t_end);
     for (int i = 0; i < MAX_LAYERS; i++) {
         Hit layer = closest_blended(rest);
         if (layer.triangle == ID_NONE) break;
@@ -167,7 +163,18 @@ vec3 trace_radiance(Ray ray, float width_0, float spread, out Hit hit) {
         through *= layer_transmittance(s, -ray.dir);
         rest.t_min = next_after(layer.t);
     }
-    radiance = layers + through * radiance;
+    return layers + through * radiance;
+}
+#endif
+
+// Radiance along a ray whose cone has width_0 at its origin and widens by `spread` a metre: what a reflection shows.
+vec3 trace_radiance(Ray ray, float width_0, float spread, out Hit hit) {
+    hit = closest_hit(ray);
+    vec3 radiance = vec3(0.0);
+    if (hit.triangle == ID_NONE) radiance = environment_radiance(ray.dir);
+    else radiance = shade_hit(hit, ray, width_0 + spread * hit.t);
+#if USE_BLENDED
+    radiance = through_layers(ray, width_0, spread, hit.t, radiance);
 #endif
     return radiance;
 }

@@ -15,7 +15,7 @@ uvec4 steps_of(Pixel p) {
     Surface s = load_surface(p);
     step_count = 0u;
     vec3 unused = direct_light(s, -p.ray.dir);
-#if USE_REFLECTIONS
+#if USE_MIRROR_RAYS
     bool bent;
     vec3 r = mirror_direction(s, -p.ray.dir, bent);
     Hit hit;

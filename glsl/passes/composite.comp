@@ -49,7 +49,7 @@ vec3 layers_over(Pixel p, vec3 behind) {
             bool bent;
             vec3 r = mirror_direction(s, v, bent), traced = vec3(0.0);
             color += direct_light(s, v);
-#if USE_REFLECTIONS
+#if USE_MIRROR_RAYS
             bool look = sends_mirror_ray(s);
             if (look) {
                 Ray ray = Ray(ray_origin(s.point, r), 0.0, r, INFINITY);
