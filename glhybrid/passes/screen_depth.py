@@ -50,7 +50,7 @@ class ScreenDepth:
 
 def level_sizes(size: tuple[int, int]) -> list[tuple[int, int]]:
     """Cells of the levels above the pixels, from 2 x 2 pixels a cell up to one cell for all."""
-    sizes = []
+    sizes: list[tuple[int, int]] = []
     width, height = size
     while not sizes or max(width, height) > 1:
         width, height = (width + 1) // 2, (height + 1) // 2

@@ -1,12 +1,13 @@
 """Reflections looked up in the G-buffer -> radiance and distance: `ssr`, and `ssr-ray` with rays where that fails.
 
-A hit is shaded from its ids, as seen along the reflected ray, with the light that the shadow pass found there. Rejected:
-reading a lit picture. Of the frame before, it lags and has to be reprojected; of this one, it has highlights and Fresnel
-as the camera sees them; and what the contestants differ in would be more than the search.
+A hit is shaded from its ids, as seen along the reflected ray, with the light that the shadow pass found there.
+Rejected: reading a lit picture. Of the frame before, it lags and has to be reprojected; of this one, it has highlights
+and Fresnel as the camera sees them; and the contestants would differ in more than the search.
 
-`ssr-ray` believes only what is certain: a ray that stayed before all that is seen, and then meets the very triangle that
-a pixel shows. `ssr` guesses on, as screen-space reflections do: surfaces count as so thick, and rays go on behind them.
-Neither sees blended surfaces in the G-buffer: `ssr-ray` looks for them with rays, in `ssr` they are not reflected.
+`ssr-ray` believes only what is certain: a ray that stayed before all that is seen, and then meets the very triangle
+that a pixel shows. `ssr` guesses on, as screen-space reflections do: surfaces count as so thick, and rays go on behind
+them. Neither sees blended surfaces in the G-buffer: `ssr-ray` looks for them with rays, in `ssr` they do not reflect
+and are not reflected.
 """
 
 from typing import Any

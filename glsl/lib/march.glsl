@@ -55,9 +55,9 @@ bool meets(Ray ray, ivec2 px, out Hit hit) {
 }
 
 // ray: from a surface that the pixel `from` shows. With MIRROR_RAYS only what is certain counts, and the search ends at the
-// first thing that is not; without, it goes on behind surfaces, and those count as so and so thick.
+// first thing that is not; without, it goes on behind surfaces, and those count as so and so thick. The loop only looks for
+// the pixel: what it shows is asked for afterwards, since a CPU runs all that stands in a loop for every turn.
 Found march(Ray ray, ivec2 from) {
-    Found found = Found(MISS, from, REASON_NONE, 0.0);
     vec2 size = vec2(frame.size_px);
     // The ray in (ndc, distance along the view axis), then on the screen: at + u * along.
     vec2 unit = 1.0 / vec2(dot(frame.right_ws, frame.right_ws), dot(frame.up_ws, frame.up_ws));
@@ -72,87 +72,91 @@ Found march(Ray ray, ivec2 from) {
     // u where the ray ends: at the near plane, at infinity, or at the border of the screen. t = u * p.z / (1 - u * r.z).
     float t_near = (p.z - frame.near) / -r.z;
     float end = r.z < 0.0 ? (parallel ? t_near : t_near / frame.near) : (parallel || r.z == 0.0 ? INFINITY : 1.0 / r.z);
-    vec2 flat_along = mix(along.xy, vec2(1e-20), lessThan(abs(along.xy), vec2(1e-20)));
-    vec2 inverse = 1.0 / flat_along;
-    ivec2 ahead = ivec2(greaterThan(flat_along, vec2(0.0)));
+    vec2 moves = mix(along.xy, vec2(1e-20), lessThan(abs(along.xy), vec2(1e-20)));
+    vec2 inverse = 1.0 / moves;
+    ivec2 ahead = ivec2(greaterThan(moves, vec2(0.0)));
     vec2 border = (vec2(ahead) * size - at.xy) * inverse;
     float leaves = min(border.x, border.y), last = min(end, leaves);
-    float pixel_u = min(abs(inverse.x), abs(inverse.y));
 
-    ivec2 px = from;
+    ivec2 px = from, previous = from;
     vec2 edge = (vec2(px + ahead) - at.xy) * inverse;                      // out of the own pixel
     float u = max(min(edge.x, edge.y), 0.0);
-    px += edge.x < edge.y ? ivec2(2 * ahead.x - 1, 0) : ivec2(0, 2 * ahead.y - 1);
-    ivec2 previous = from;
+    if (edge.x < edge.y) px.x += 2 * ahead.x - 1;
+    else px.y += 2 * ahead.y - 1;
     int level = 0;
-    bool before = true;                                                    // the ray is before what is seen
+    bool before = true, met = false;                                       // before: nothing seen is in front of the ray
+    float met_u = 0.0, gap = 0.0;
     uint reason = REASON_NONE;
-    int i = 0;
-    for (; i < march_steps && u < last; i++) {
+    int left = march_steps;
+    for (; left > 0 && u < last && !met; left--) {
         ivec2 cell = px >> level;
         edge = (vec2((cell + ahead) << level) - at.xy) * inverse;
         float u1 = clamp(min(edge.x, edge.y), u, last);
         vec2 depth = at.z + along.z * vec2(u, u1);
+        bool skip = true;
         if (level > 0) {
             vec2 span = texelFetch(screen_depth, pyramid_texel(cell, level), 0).xy;
-            bool skip = min(depth.x, depth.y) > span.x;
-            if (skip) before = true;
-            if (!MIRROR_RAYS && !before && max(depth.x, depth.y) < depth_behind(span.y)) skip = true;
-            if (!skip) { level--; continue; }
+            skip = min(depth.x, depth.y) > span.x;
+            before = before || skip;
+            if (!MIRROR_RAYS) skip = skip || (!before && max(depth.x, depth.y) < depth_behind(span.y));
         } else {
             vec4 plane = texelFetch(screen_plane, px, 0);
-            vec2 c = vec2(px) + 0.5, near_end = at.xy + u * along.xy - c, far_end = at.xy + u1 * along.xy - c;
-            vec2 over = depth - plane.x - vec2(dot(plane.yz, near_end), dot(plane.yz, far_end));
+            vec2 c = vec2(px) + 0.5, first = at.xy + u * along.xy - c, second = at.xy + u1 * along.xy - c;
+            vec2 over = depth - plane.x - vec2(dot(plane.yz, first), dot(plane.yz, second));
             float rounding = 4e-6 * abs(plane.x) + 2e-4 * (abs(plane.y) + abs(plane.z));
-            if (plane.w == 0.0 || min(over.x, over.y) >= -rounding) before = true;
-            else if (over.y < over.x && (before || over.x >= -rounding)) {
-                // It goes through this plane here, or was before the last one and is behind this.
-                bool crosses = over.x >= -rounding;
-                float at_u = crosses ? mix(u, u1, clamp(over.x / (over.x - over.y), 0.0, 1.0)) : u;
-                float z = parallel ? -depth.x : 1.0 / depth.x, z_seen = parallel ? over.x - depth.x : 1.0 / max(depth.x - over.x, 1e-30);
-                float gap = crosses ? 0.0 : (z - z_seen) / max(march_thickness_m + march_thickness * z_seen, 1e-30);
-                vec2 range = vec2(at_u - 1.5 * pixel_u, at_u + 1.5 * pixel_u);
-                range = parallel ? range : range * p.z / max(1.0 - range * r.z, 1e-30);
-                Ray near_here = Ray(ray.origin, max(range.x, 0.0), ray.dir, range.y > 0.0 ? range.y : INFINITY);
-                bool met = meets(near_here, px, found.hit);
-                found.px = px;
-                if (!met) { met = meets(near_here, previous, found.hit); if (met) found.px = previous; }
-                if (met) return found;
-                if (!MIRROR_RAYS && gap <= 1.0) {
-                    // Not on the triangles of these pixels: on others in between, or nowhere.
-                    bool ok, front;
-                    Pixel seen = load_pixel(px);
-                    found.hit = crosses ? hit_uncut(ray, seen.hit.instance, seen.hit.triangle, ok, front) : seen.hit;
-                    if (found.hit.t > 0.0) {
-                        found.hit.t = parallel ? at_u : at_u * p.z / max(1.0 - at_u * r.z, 1e-30);
-                        found.px = px;
-                        found.gap = gap;
-                        found.reason = REASON_THICKNESS;
-                        return found;
-                    }
-                }
-                before = false;
-                if (reason == REASON_NONE) reason = REASON_HIDDEN;
-            } else {
-                before = over.y >= -rounding;
-                if (reason == REASON_NONE) reason = over.y > over.x ? REASON_BACK_FACE : REASON_HIDDEN;
+            bool was_over = over.x >= -rounding, is_over = over.y >= -rounding;
+            if (plane.w == 0.0 || (was_over && is_over)) before = true;
+            else {
+                // Through this plane, or before the last one and behind this; else behind it for some time, or from behind.
+                bool enters = over.y < over.x && (before || was_over);
+                float z = parallel ? -depth.x : 1.0 / depth.x;
+                float z_seen = parallel ? over.x - depth.x : 1.0 / max(depth.x - over.x, 1e-30);
+                gap = was_over ? 0.0 : (z - z_seen) / max(march_thickness_m + march_thickness * z_seen, 1e-30);
+                met = enters && (MIRROR_RAYS || gap <= 1.0);
+                met_u = was_over ? mix(u, u1, clamp(over.x / (over.x - over.y), 0.0, 1.0)) : u;
+                before = !enters && is_over;
+                if (reason == REASON_NONE && !met) reason = over.y > over.x ? REASON_BACK_FACE : REASON_HIDDEN;
+                if (MIRROR_RAYS && !met) break;
             }
-            if (MIRROR_RAYS && reason != REASON_NONE) break;
         }
-        // To the next cell: exactly over the border that comes first, else within this one's rows or columns.
-        previous = px;
-        ivec2 low = cell << level, high = low + (1 << level) - 1;
-        px = clamp(ivec2(floor(at.xy + u1 * along.xy)), low, high);
-        if (edge.x < edge.y) px.x = ahead.x == 1 ? high.x + 1 : low.x - 1;
-        else px.y = ahead.y == 1 ? high.y + 1 : low.y - 1;
-        u = u1;
-        if (any(lessThan(px, ivec2(0))) || any(greaterThanEqual(px, frame.size_px))) { u = last; break; }
-        if (any(notEqual(px >> (level + 1), cell >> 1))) level = min(level + 1, screen_levels);
+        if (met) break;
+        // Down a level, or to the next cell: exactly over the border that comes first, else within this one's rows or columns.
+        if (!skip) level--;
+        else {
+            previous = px;
+            ivec2 low = cell << level, high = low + (1 << level) - 1;
+            px = clamp(ivec2(floor(at.xy + u1 * along.xy)), low, high);
+            if (edge.x < edge.y) px.x = ahead.x == 1 ? high.x + 1 : low.x - 1;
+            else px.y = ahead.y == 1 ? high.y + 1 : low.y - 1;
+            u = any(lessThan(px, ivec2(0))) || any(greaterThanEqual(px, frame.size_px)) ? last : u1;
+            if (any(notEqual(px >> (level + 1), cell >> 1))) level = min(level + 1, screen_levels);
+        }
     }
-    found.hit = MISS;
-    found.px = from;
-    found.reason = reason;
-    if (reason == REASON_NONE) {
+
+    Found found = Found(MISS, px, reason, 0.0);
+    if (met) {
+        // On the triangles of these two pixels; or on others in between, or nowhere.
+        float pixel_u = min(abs(inverse.x), abs(inverse.y));
+        vec3 range = met_u + pixel_u * vec3(-1.5, 0.0, 1.5);
+        if (!parallel) range *= p.z / max(1.0 - range * r.z, 1e-30);
+        Ray here = Ray(ray.origin, max(range.x, 0.0), ray.dir, range.z > 0.0 ? range.z : INFINITY);
+        bool sure = false;
+        for (int k = 0; k < 2 && !sure; k++) {
+            found.px = k == 0 ? px : previous;
+            sure = meets(here, found.px, found.hit);
+        }
+        if (!sure && MIRROR_RAYS) {
+            found = Found(MISS, px, REASON_HIDDEN, 0.0);
+        } else if (sure) {
+            found.reason = REASON_NONE;
+        } else {
+            found.px = px;
+            found.hit = load_pixel(px).hit;
+            found.hit.t = range.y;
+            found.gap = gap;
+            found.reason = REASON_THICKNESS;
+        }
+    } else if (reason == REASON_NONE) {
         if (u < last) found.reason = REASON_STEPS;
         else found.reason = end > leaves ? REASON_OFF_SCREEN : (r.z < 0.0 ? REASON_FACING : REASON_ENVIRONMENT);
     }
