@@ -287,6 +287,8 @@ CHANNELS: dict[str, Channel] = {
         Channel("visibility_soft", 4, "f2", "rgba16f", "the same with penumbras; their half width, m, 0 = not known"),
         Channel("reflection", 4, "f4", "rgba32f", "radiance along the mirror direction, distance to what is seen"),
         Channel("screen_plane", 4, "f4", "rgba32f", "screen depth, its change along x and y, whether anything is seen"),
+        Channel("screen_nearest", 1, "f4", "r32f", "pyramid over the planes: nearest screen depth"),
+        Channel("screen_span", 2, "f4", "rg32f", "pyramid over the planes: nearest and farthest screen depth"),
         Channel("radiance", 4, "f4", "rgba32f", "linear Rec. 709 radiance, coverage"),
         Channel("aov", 4, "u4", "rgba32ui", "bits of one AOV"),
         Channel("reason", 1, "u1", "r8ui", "REASON_*"),

@@ -21,15 +21,15 @@ class Targets:
         self._images: dict[str, Any] = {}
         self._other: list[Any] = []
 
-    def get(self, name: str, layers: int = 0) -> Any:
-        """The image of a channel, allocated at first use."""
+    def get(self, name: str, layers: int = 0, size: tuple[int, int] | None = None) -> Any:
+        """The image of a channel, allocated at first use. size: another than that of all."""
         if name not in self._images:
             channel = CHANNELS[name]
             gl = self._context.gl
             if layers:
                 image: Any = gl.texture_array((*self.size, layers), channel.components, dtype=channel.dtype)
             else:
-                image = gl.texture(self.size, channel.components, dtype=channel.dtype)
+                image = gl.texture(size or self.size, channel.components, dtype=channel.dtype)
             image.filter = (moderngl.NEAREST, moderngl.NEAREST)
             self._images[name] = image
         return self._images[name]

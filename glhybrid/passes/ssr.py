@@ -12,7 +12,6 @@ and are not reflected.
 
 from typing import Any
 
-from glhybrid.context import Context
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.needs import Features
 from glhybrid.passes.screen_depth import ScreenDepth
@@ -24,14 +23,11 @@ from glhybrid.targets import Targets
 class Ssr:
     name = "ssr"
 
-    def __init__(
-        self, context: Context, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings,
-        size: tuple[int, int],
-    ) -> None:  # fmt: skip
+    def __init__(self, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings) -> None:
         self._program = shaders.compute("ssr", features)
         self._scene = scene
         self._reason = features.reason
-        self.screen = ScreenDepth(context, shaders, scene, features, size)
+        self.screen = ScreenDepth(shaders, scene, features)
         key = f"reflections.{settings.reflections}"
         self._uniforms: dict[str, Any] = {"march_steps": settings.parameter(f"{key}.steps")}
         if settings.reflections == "ssr":
@@ -39,10 +35,6 @@ class Ssr:
                 self._uniforms[f"march_{name}"] = settings.parameter(f"{key}.{name}")
         else:
             self._uniforms |= {"march_thickness": 0.0, "march_thickness_m": 0.0}
-
-    @property
-    def bytes(self) -> int:
-        return self.screen.bytes
 
     def run(self, targets: Targets, ids: Any, visibility: Any, screen: dict[str, Any]) -> Any:
         """screen: what ScreenDepth.run gave."""
@@ -55,6 +47,3 @@ class Ssr:
             resources["out_reason"] = targets.get("reason")
         self._program.dispatch(resources, targets.size)
         return reflection
-
-    def release(self) -> None:
-        self.screen.release()

@@ -99,7 +99,7 @@ def test_thickness_is_a_guess(context: "Context", renderer: gh.Renderer) -> None
         wrong.append(percent(~right(frame, true), hit))
         guessed.append(percent(frame["reason"] == GUESS, hit))
     assert found[0] < found[1] < found[2]
-    assert guessed[0] < 1.0 < guessed[2]  # without any: planes crossed in the last pixel before an edge
+    assert guessed[0] < 1.5 < guessed[2]  # without any: planes crossed in the last pixel before an edge
     # Wrong without any: rays that went on behind the floating block, and truly meet its underside.
     assert wrong[0] < 4.0 and wrong[0] < wrong[1] < wrong[2] and wrong[2] > 6.0
 
@@ -209,7 +209,7 @@ def test_the_pyramid_holds_the_nearest(context: "Context", renderer: gh.Renderer
     plane = np.frombuffer(staged.targets.get("screen_plane").read(), np.float32).reshape(size[1], size[0], 4)
     half = 0.5 * np.abs(plane[..., 1:3]).sum(-1)
     near, far = plane[..., 0] + half, plane[..., 0] - half
-    pyramid = staged.reflect.screen._pyramid  # type: ignore[union-attr]
+    pyramid = staged.targets.get("screen_span")
     texels = np.frombuffer(pyramid.read(), np.float32).reshape(pyramid.height, pyramid.width, 2)
     row, padded = 0, 32
     for level, (width, height) in enumerate(level_sizes(size), start=1):
