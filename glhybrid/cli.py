@@ -1,4 +1,4 @@
-"""The command line: `glhybrid render | plan | bench | scenes | doctor`.
+"""The command line: `glhybrid render | plan | bench | study | scenes | doctor`.
 
 Exit codes: 0 done; 1 a bench whose hits differ; 2 bad input or usage; 3 no usable OpenGL; 130 interrupted. A user's
 mistake is one line on stderr, never a traceback. Results go to stdout, everything else to stderr. Nothing heavy is
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 MAX_SIDE = 32768
 USAGE_ERROR, INTERRUPTED = 2, 130
+_arguments: list[str] = []  # of this run
 
 app = App(
     name="glhybrid",
@@ -251,6 +252,45 @@ def bench(
 
 
 @app.command
+def study(
+    *scene: Annotated[str, Parameter(help="Scenes as elsewhere; by default atrium, plaza and showroom.")],
+    output: Annotated[str, Parameter(name=["--output", "-o"], help="Folder of the report; what is there is kept.")],
+    quick: Annotated[bool, Parameter(help="Ten minutes on two cores: small pictures, few values, two scenes.")] = False,
+    device: Annotated[str, Parameter(help="auto, gpu, software, egl:N, cuda:N or osmesa.")] = "auto",
+    size: Annotated[
+        str | None, Parameter(help="Pixels, WxH; 1920x1080 on a GPU, else 640x360; 960x540 or 256x144 with --quick.")
+    ] = None,
+    camera: Annotated[str | None, Parameter(help="Name or index of a camera that all scenes have.")] = None,
+    techniques: Annotated[str, Parameter(help="Only these, by name: map,csm,ray,ssr,...")] = "",
+    samples: Annotated[int | None, Parameter(help="The most paths per pixel of the reference.")] = None,
+    bounces: Annotated[int, Parameter(help="Bounces after the first hit in the reference; 8.")] = 8,
+    allow_outside: Annotated[bool, Parameter(help="Let a scene use files outside its folder.")] = False,
+    json: Annotated[bool, Parameter(help="Print results.json.")] = False,
+    quiet: Annotated[bool, Parameter(help="No messages but errors.")] = False,
+) -> int:
+    """Time every technique and measure how wrong it is: report.html, results.json, results.csv and all pictures."""
+    common = Common(allow_outside=allow_outside) if size is None else Common(size=size, allow_outside=allow_outside)
+    pixels = None if size is None else common.pixels()
+    from glhybrid.study import run as studies
+    from glhybrid.study.report.words import summary
+    from glhybrid.study.store import plain
+
+    show = not (quiet or json)
+    with console.progress(show) as progress:
+        found = studies.run(
+            scene, Path(output), quick=quick, device=device, size=pixels, camera=Common(camera=camera).camera_key(),
+            only=techniques.split(","), samples=samples, bounces=bounces, command=_command(), load=common.load,
+            progress=progress, lines=show and not sys.stderr.isatty(),
+        )  # fmt: skip
+    if json:
+        _print_json(plain(found.to_dict()))
+    elif not quiet:
+        summary(found)
+        print(f"{Path(output) / 'report.html'}")
+    return 0
+
+
+@app.command
 def scenes(
     *,
     failures: Annotated[bool, Parameter(help="The failure library instead: scenes that break one technique.")] = False,
@@ -285,6 +325,7 @@ def doctor(*, json: Annotated[bool, Parameter(help="Print the report as one JSON
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the command line; returns the exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    _arguments[:] = arguments
     console.start_log(quiet="--quiet" in arguments)
     try:
         return int(app(arguments) or 0)
@@ -300,6 +341,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of stdout left, as `| head` does
         sys.stderr.close()
         return 0
+
+
+def _command() -> str:
+    """The line that was typed, ready to be typed again."""
+    import shlex
+
+    return shlex.join(["glhybrid", *_arguments])
 
 
 def _stem(scene: str) -> str:

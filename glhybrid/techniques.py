@@ -24,6 +24,7 @@ class Parameter:
     low: float | None = None
     high: float | None = None
     choices: tuple[str, ...] = ()
+    sweep: tuple[bool | int | float | str, ...] | None = None  # a study's values; None: octaves of a whole number
 
 
 @dataclass(frozen=True)
@@ -155,7 +156,14 @@ _ALL = (
         traced=True,
         mirror_pass="reflect",
         parameters=(
-            Parameter("cutoff", 1.0, "roughness from which no ray is sent and the blurred sky stands in", 0.0, 1.0),
+            Parameter(
+                "cutoff",
+                1.0,
+                "roughness from which no ray is sent and the blurred sky stands in",
+                0.0,
+                1.0,
+                sweep=(0.5, 0.25),
+            ),
         ),
     ),
     Technique(

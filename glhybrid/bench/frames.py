@@ -9,7 +9,7 @@ import numpy as np
 
 from glhybrid.bench.clock import WARM_UP_S
 from glhybrid.renderer import Renderer
-from glhybrid.scene import Scene
+from glhybrid.scene import Camera, Scene
 from glhybrid.settings import Settings
 from glhybrid.timing import Timing
 from glhybrid.view import choose_camera, make_view
@@ -45,11 +45,11 @@ class FrameTimes:
 
 
 def steady_frame(
-    renderer: Renderer, scene: Scene, size: tuple[int, int], primary: Primary = "auto"
+    renderer: Renderer, scene: Scene, size: tuple[int, int], settings: Settings, camera: Camera | None = None
 ) -> Callable[[Timing], None]:
     """What a viewer does for every frame of a scene at rest, made ready: look, constants, passes, display."""
-    view = make_view(choose_camera(scene, None), size, scene, renderer.context.limits.clip_control)
-    staged = renderer.stage(scene, Settings(primary=primary), size)
+    view = make_view(choose_camera(scene, camera), size, scene, renderer.context.limits.clip_control)
+    staged = renderer.stage(scene, settings, size)
 
     def frame(timing: Timing) -> None:
         staged.look(view)
@@ -63,7 +63,7 @@ def steady_frame(
 def measure(renderer: Renderer, name: str, scene: Scene, size: tuple[int, int], repeats: int) -> FrameTimes:
     """Times `repeats` frames in each way. On a GPU after a warm-up, whole frames without a pause between them."""
     software, finish = renderer.context.device.software, renderer.context.gl.finish
-    frame, off = steady_frame(renderer, scene, size), Timing(finish, enabled=False)
+    frame, off = steady_frame(renderer, scene, size, Settings()), Timing(finish, enabled=False)
     for _ in range(2):  # the first compiles, the second may still have its variants compiled
         frame(off)
         finish()
@@ -88,7 +88,8 @@ def measure(renderer: Renderer, name: str, scene: Scene, size: tuple[int, int], 
 
 def host_seconds(renderer: Renderer, scene: Scene, size: tuple[int, int], primary: Primary = "auto") -> float:
     """CPU time of the calling thread for a steady frame, median of HOST_FRAMES that nothing waits for."""
-    frame, off = steady_frame(renderer, scene, size, primary), Timing(renderer.context.gl.finish, enabled=False)
+    settings = Settings(primary=primary)
+    frame, off = steady_frame(renderer, scene, size, settings), Timing(renderer.context.gl.finish, enabled=False)
     frame(off)
     renderer.context.gl.finish()
     times = []

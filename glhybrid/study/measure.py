@@ -1,0 +1,162 @@
+"""One cell: its picture, its time and its figures."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from glhybrid.bench.clock import WARM_UP_S
+from glhybrid.bench.frames import steady_frame
+from glhybrid.bvh.blas import threads_available
+from glhybrid.image import Frame
+from glhybrid.renderer import Renderer
+from glhybrid.scene import F32, Camera, Scene
+from glhybrid.settings import Settings
+from glhybrid.study import metrics, picture
+from glhybrid.study.direct import Direct
+from glhybrid.study.sweep import Cell
+from glhybrid.timing import Timing
+
+AOVS = ("visibility",)
+NOT_TRACED = {"skin", "refit", "gbuffer", "composite", "display"}  # passes that every technique has in common
+
+
+@dataclass(frozen=True)
+class Clock:
+    """How long a cell is timed: at least `frames` frames and `seconds`, after a warm-up."""
+
+    frames: int = 5
+    seconds: float = 0.5
+
+
+@dataclass(frozen=True)
+class Times:
+    """frame_ms: median of frames that are not cut up, from finish() to finish(); cpu_ms: CPU time of the process on all
+    cores over their number: on a software rasteriser, the frame on an idle machine; spread: half the distance of the
+    quartiles over the median; passes: ms by pass, each finished; trace_ms: of the passes that a technique brings."""
+
+    frame_ms: float
+    cpu_ms: float
+    spread: float
+    frames: int
+    passes: dict[str, float]
+
+    @property
+    def trace_ms(self) -> float:
+        return sum(ms for name, ms in self.passes.items() if name not in NOT_TRACED)
+
+
+def time_frames(
+    renderer: Renderer, scene: Scene, camera: Camera, size: tuple[int, int], settings: Settings, clock: Clock
+) -> Times:
+    """Frames of a scene at rest, as a viewer would draw them. What is timed has been drawn before."""
+    software, finish = renderer.context.device.software, renderer.context.gl.finish
+    frame, off = steady_frame(renderer, scene, size, settings, camera), Timing(finish, enabled=False)
+    frame(off)
+    finish()
+    started = time.perf_counter()
+    while not software and time.perf_counter() - started < WARM_UP_S:
+        frame(off)
+    finish()
+    walls: list[float] = []
+    cpus: list[float] = []
+    batch = 1 if software else 8  # a pause after every frame lets a GPU's clock fall
+    started = time.perf_counter()
+    while len(walls) * batch < clock.frames or time.perf_counter() - started < clock.seconds:
+        begin, cpu = time.perf_counter(), time.process_time()
+        for _ in range(batch):
+            frame(off)
+        finish()
+        cpus.append((time.process_time() - cpu) / batch / threads_available())
+        walls.append((time.perf_counter() - begin) / batch)
+    passes = Timing(finish)
+    for _ in range(3):  # the first does not count
+        frame(passes)
+    low, median, high = np.percentile(np.array(walls) * 1e3, (25, 50, 75)).tolist()
+    return Times(median, float(np.median(cpus)) * 1e3, (high - low) / 2 / median, len(walls) * batch, passes.medians())
+
+
+def draw(renderer: Renderer, scene: Scene, camera: Camera, size: tuple[int, int], settings: Settings) -> Frame:
+    """The picture, at an exposure that follows from the scene alone once it is given by `settings`."""
+    return renderer.render(scene, camera, size, settings, aovs=AOVS)
+
+
+def figures(frame: Frame, want: F32, light: Direct | None, specular: F32) -> tuple[dict[str, Any], F32]:
+    """Errors of a picture, and its FLIP map. light: None where the scene has none. specular (H, W): the share of a
+    pixel's reflectance that is specular, 0 to 1."""
+    difference, flip = picture.compare(frame["radiance"], want)
+    row: dict[str, Any] = difference.to_dict()
+    row["flip_reflection"] = picture.weighted_mean(flip, specular)
+    row |= shadow_figures(frame["visibility"], light)
+    return row, flip
+
+
+def shadow_figures(visibility: F32, light: Direct | None) -> dict[str, Any]:
+    """Of the direct light alone, all lights together: nothing that other parts of a picture get wrong counts."""
+    names = (
+        "wrong_shadow_percent", "wrong_shadow_outside_percent", "wrong_shadow_inside_percent", "visibility_mae",
+        "flip_shadow",
+    )  # fmt: skip
+    if light is None:
+        return dict.fromkeys(names)
+    counted = light.counted
+    got = visibility[..., list(light.lights)]
+    bands = np.stack([metrics.edge_band(light.visibility[..., i] > 0.5) for i in range(got.shape[-1])], -1)
+    wrong = metrics.wrong_shadow_percent(got, light.visibility, counted, bands)
+    flip = picture.flip_map(light.direct(visibility), light.truth())
+    lit = counted.any(-1)
+    values = (
+        wrong.all, wrong.outside, wrong.inside, metrics.visibility_mae(got, light.visibility, counted),
+        picture.weighted_mean(flip, lit.astype(np.float32)),
+    )  # fmt: skip
+    return dict(zip(names, values, strict=True))
+
+
+def specular_share(renderer: Renderer, scene: Scene, camera: Camera, size: tuple[int, int]) -> F32:
+    """(H, W): how much of what a pixel reflects is specular, by Karis' fit of the split-sum table (2014)."""
+    names = ("albedo", "roughness", "metallic", "normal", "position", "instance_id")
+    plain = Settings(shadows="none", reflections="none", aa=1)
+    frame = renderer.render(scene, camera, size, plain, aovs=names)
+    pose = camera.world_from_view
+    to_eye = pose[:3, 3] - frame["position"].astype(np.float64) if camera.fov_y > 0 else pose[:3, 2]
+    to_eye = np.broadcast_to(to_eye, frame["position"].shape)
+    length = np.maximum(np.linalg.norm(to_eye, axis=-1), 1e-12)
+    nov = np.clip((frame["normal"] * to_eye).sum(-1) / length, 0, 1)
+    rough, metallic = frame["roughness"].astype(np.float64), frame["metallic"].astype(np.float64)
+    f0 = 0.04 * (1 - metallic[..., None]) + frame["albedo"] * metallic[..., None]
+    r = rough[..., None] * np.array([-1, -0.0275, -0.572, 0.022]) + np.array([1, 0.0425, 1.04, -0.04])
+    a004 = np.minimum(r[..., 0] ** 2, np.exp2(-9.28 * nov)) * r[..., 0] + r[..., 1]
+    scale, bias = -1.04 * a004 + r[..., 2], 1.04 * a004 + r[..., 3]
+    specular = np.maximum((f0 * scale[..., None] + bias[..., None]) @ picture.LUMINANCE, 0)
+    diffuse = (frame["albedo"] * (1 - metallic[..., None])) @ picture.LUMINANCE
+    share = specular / np.maximum(specular + diffuse, 1e-6)
+    return np.where(frame["instance_id"] != 0xFFFFFFFF, share, 0).astype(np.float32)
+
+
+def memory(receipt: dict[str, Any]) -> int:
+    """Bytes of images and buffers on the device."""
+    return int(receipt["plan"]["image_bytes"] + receipt["plan"]["buffer_bytes"])
+
+
+def save_images(folder: Path, stem: str, frame: Frame, flip: F32 | None) -> dict[str, str]:
+    """EXR and PNG of the picture, PNG of its FLIP map -> file names by kind."""
+    images = {"exr": f"{stem}.exr", "png": f"{stem}.png"}
+    frame.save(folder / images["exr"], aov=())
+    frame.save(folder / images["png"])
+    if flip is not None:
+        images["flip"] = f"{stem}.flip.png"
+        Frame(picture.magma(flip)).save(folder / images["flip"])
+    return images
+
+
+def describe(cell: Cell, times: Times) -> dict[str, Any]:
+    """The part of a row that says what was made, and how long it took."""
+    return {
+        **cell.techniques, "parameters": cell.values, "label": cell.label, "names": cell.names, "traced": cell.traced,
+        "stochastic": cell.stochastic,
+        "frame_ms": times.frame_ms, "trace_ms": times.trace_ms,
+        "frame_cpu_ms": times.cpu_ms, "frame_ms_spread": times.spread,
+        "passes": times.passes,
+    }  # fmt: skip

@@ -1,0 +1,127 @@
+"""How far a picture is from another, in linear radiance: HDR-FLIP, relative MSE, PSNR, SSIM, bias.
+
+Pictures are (H, W, 3) float, row 0 at the top. FLIP is flip-evaluator's (Andersson et al. 2021, "Visualizing Errors in
+Rendered High Dynamic Range Images"): its exposures follow from the reference alone, so all techniques of a scene are
+seen under the same ones.
+"""
+
+import importlib.util
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from glhybrid.errors import GlhybridError
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+REL_FLOOR = 0.01  # of relMSE's denominator, in units of the reference's mean luminance squared
+MOST = 1e4  # times the mean luminance: what FLIP is given at most, so that an infinite highlight does not set exposures
+MIDDLE_GREY = 0.18
+
+
+@dataclass(frozen=True)
+class Difference:
+    """flip: mean HDR-FLIP, 0 to 1. rel_mse: mean e^2 / (ref^2 + 0.01 mean^2). psnr: dB, of sRGB-encoded values at an
+    exposure that brings the reference to middle grey; ssim: of their luma. bias_percent: of mean luminance."""
+
+    flip: float
+    rel_mse: float
+    psnr: float
+    ssim: float
+    bias_percent: float
+
+    to_dict = asdict
+
+
+def require_flip() -> None:
+    """Raises GlhybridError where flip-evaluator is missing."""
+    if importlib.util.find_spec("flip_evaluator") is None:
+        raise GlhybridError(
+            "a study measures with HDR-FLIP, and flip-evaluator is not installed: pip install glhybrid[study]"
+        )
+
+
+def compare(got: F32, want: F32) -> tuple[Difference, F32]:
+    """The figures, and the FLIP map (H, W), 0 to 1."""
+    assert got.shape == want.shape and got.ndim == 3, (got.shape, want.shape)
+    error_map = flip_map(got, want)
+    a, b = got.astype(np.float64), want.astype(np.float64)
+    mean = float((b @ LUMINANCE).mean())
+    ya, yb = encoded(a, mean), encoded(b, mean)
+    mse = float(((ya - yb) ** 2).mean())
+    difference = Difference(
+        flip=float(error_map.mean()),
+        rel_mse=rel_mse(a, b),
+        psnr=float(-10 * np.log10(mse)) if mse > 0 else float("inf"),
+        ssim=ssim(ya @ LUMINANCE, yb @ LUMINANCE),
+        bias_percent=100 * (float((a @ LUMINANCE).mean()) / mean - 1) if mean > 0 else 0.0,
+    )
+    return difference, error_map
+
+
+def flip_map(got: F32, want: F32) -> F32:
+    """HDR-FLIP of every pixel, (H, W). A black reference gives no exposure: what is not black is then fully wrong."""
+    import flip_evaluator
+
+    mean = float((want.astype(np.float64) @ LUMINANCE).mean())
+    if mean <= 0:
+        return (got.max(-1) > 0).astype(np.float32)
+    # The unit of light is not FLIP's business, but its arithmetic is float32.
+    most = np.float32(MOST)
+    a, b = (np.clip(np.nan_to_num(x / np.float32(mean)), 0, most).astype(np.float32) for x in (got, want))
+    return np.asarray(flip_evaluator.evaluate(b, a, "HDR", applyMagma=False, computeMeanError=False)[0])[..., 0]
+
+
+def rel_mse(got: F64, want: F64) -> float:
+    mean = float((want @ LUMINANCE).mean())
+    floor = REL_FLOOR * mean**2 if mean > 0 else REL_FLOOR
+    return float(((got - want) ** 2 / (want**2 + floor)).mean())
+
+
+def encoded(radiance: F64, mean: float) -> F64:
+    """sRGB, 0 to 1, at the exposure that shows `mean` as middle grey."""
+    x = np.clip(radiance * (MIDDLE_GREY / mean if mean > 0 else 1.0), 0, 1)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
+def ssim(a: F64, b: F64, sigma: float = 1.5) -> float:
+    """Mean structural similarity of two (H, W) images with values 0 to 1 (Wang et al. 2004), Gaussian window."""
+    c1, c2 = 0.01**2, 0.03**2
+    ma, mb = _blur(a, sigma), _blur(b, sigma)
+    va, vb = _blur(a * a, sigma) - ma**2, _blur(b * b, sigma) - mb**2
+    covariance = _blur(a * b, sigma) - ma * mb
+    value = (2 * ma * mb + c1) * (2 * covariance + c2) / ((ma**2 + mb**2 + c1) * (va + vb + c2))
+    return float(value.mean())
+
+
+def _blur(image: F64, sigma: float) -> F64:
+    reach = int(3.5 * sigma + 0.5)
+    x = np.arange(-reach, reach + 1)
+    weight = np.exp(-(x**2) / (2 * sigma**2))
+    weight /= weight.sum()
+    for axis in (0, 1):
+        pad = [(0, 0), (0, 0)]
+        pad[axis] = (reach, reach)
+        padded = np.pad(image, pad, mode="symmetric")
+        length = image.shape[axis]
+        image = sum(w * np.take(padded, range(k, k + length), axis) for k, w in enumerate(weight))
+    return image
+
+
+def weighted_mean(values: Any, weight: Any) -> float | None:
+    """None where nothing has weight."""
+    total = float(weight.sum(dtype=np.float64))
+    return float((values * weight).sum(dtype=np.float64) / total) if total > 0 else None
+
+
+def magma(values: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """(H, W) in 0 to 1 -> (H, W, 3) uint8: FLIP's colours (the map "magma" of Smith and van der Walt, nine stops)."""
+    stops = np.array(
+        [(0, 0, 4), (28, 16, 68), (79, 18, 123), (129, 37, 129), (181, 54, 122), (229, 80, 100), (251, 135, 97),
+         (254, 194, 135), (252, 253, 191)]
+    )  # fmt: skip
+    x = np.clip(np.nan_to_num(values, nan=1.0), 0, 1) * (len(stops) - 1)
+    return np.stack([np.interp(x, np.arange(len(stops)), stops[:, c]) for c in range(3)], -1).round().astype(np.uint8)

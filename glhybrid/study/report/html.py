@@ -1,0 +1,438 @@
+"""report.html: all that a study found on one page that opens anywhere, without a network; charts also as files."""
+
+import base64
+import io
+from collections.abc import Callable, Sequence
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from glhybrid import __version__, techniques
+from glhybrid.image import replacing
+from glhybrid.study import pareto
+from glhybrid.study.report import charts
+from glhybrid.study.report.axis import shown
+from glhybrid.study.report.charts import Line, Point
+
+if TYPE_CHECKING:
+    from glhybrid.study.run import Study
+
+HERE = Path(__file__).parent
+WIDEST = 640  # pixels of an embedded picture
+BARS = (0.1, 0.05, 0.02)  # of FLIP, for "the cheapest under"
+Row = dict[str, Any]
+
+
+def write(study: "Study", output: Path) -> None:
+    """report.html and charts/*.svg in `output`, whole or not at all."""
+    files: dict[str, str] = {}
+    page = _page(study, output, files)
+    (output / "charts").mkdir(exist_ok=True)
+    for name, svg in files.items():
+        with replacing(output / "charts" / f"{name}.svg") as temporary:
+            temporary.write_text(charts.standalone(svg), encoding="utf-8")
+    with replacing(output / "report.html") as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def _page(study: "Study", output: Path, files: dict[str, str]) -> str:
+    parts = [_header(study), "<main>", _findings(study)]
+    for name in study.scenes:
+        parts.append(_scene(study, name, output, files))
+    parts += [_curves(study, files), _paper(study), _peers(study), _failures(study), _reading(study), _notes(study)]
+    parts.append("</main>")
+    css = (HERE / "report.css").read_text(encoding="utf-8") + charts.STYLE
+    script = (HERE / "report.js").read_text(encoding="utf-8")
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
+        f"<title>glhybrid study: {escape(', '.join(study.scenes))}</title><style>{css}</style></head><body>"
+        f"{''.join(parts)}<footer>glhybrid {__version__}</footer><script>{script}</script></body></html>\n"
+    )
+
+
+# Parts ----------------------------------------------------------------------------------------------------------------
+
+
+def _header(study: "Study") -> str:
+    m = study.machine
+    device = m["device"]
+    kind = " (a CPU, through Mesa)" if device.get("software") else ""
+    links = [(f"#{_id(name)}", name) for name in study.scenes]
+    for anchor, there in (
+        ("stability", study.curves), ("paper", study.paper), ("peers", study.peers), ("failures", study.failures),
+        ("reading", True), ("notes", True),
+    ):  # fmt: skip
+        if there:
+            links.append(
+                (f"#{anchor}", {"reading": "how to read this", "paper": "the paper again"}.get(anchor, anchor))
+            )
+    facts = {
+        "device": f"{device.get('renderer', '')}{kind}",
+        "driver": device.get("version", ""),
+        "processor": f"{m.get('cpu', '')}, {m.get('cores', '?')} threads used",
+        "system": f"{m.get('platform', '')}, Python {m.get('python', '')}",
+        "glhybrid": m.get("glhybrid", ""),
+    }
+    command = f"<pre>{escape(m['command'])}</pre>" if m.get("command") else ""
+    return (
+        f"<header><h1>What each technique costs, and how wrong it is</h1>"
+        f'<p class="soft">A study of {escape(", ".join(study.scenes))} by glhybrid: every shadow and reflection '
+        f"technique against a path-traced reference on the same device.</p>"
+        f"<nav>{''.join(f'<a href={chr(34)}{a}{chr(34)}>{escape(t)}</a>' for a, t in links)}</nav>"
+        f'<dl class="facts">{"".join(f"<dt>{k}</dt><dd>{escape(str(v))}</dd>" for k, v in facts.items())}</dl>'
+        f"{command}{_busy(study)}</header>"
+    )
+
+
+def _busy(study: "Study") -> str:
+    ratio = study.machine.get("busy")
+    if not ratio:
+        return ""
+    return (
+        f'<p class="warn">Other programs had the processor while this was measured: frames took {ratio:.1f} times the '
+        "time they would have had alone. Charts and fronts therefore go by processor time over the number of threads.</p>"
+    )
+
+
+def _findings(study: "Study") -> str:
+    """In words: the cheapest way under given errors, by scene."""
+    clock = study.machine.get("time", "frame_ms")
+    lines = []
+    for name in study.scenes:
+        rows = _of(study, name)
+        found: dict[str, list[float]] = {}
+        times, errors = [r[clock] for r in rows], [r["flip"] for r in rows]
+        for bar in BARS:
+            i = pareto.cheapest_under(times, errors, bar)
+            if i is not None:
+                found.setdefault(f"<b>{escape(rows[i]['label'])}</b> ({shown(times[i])} ms)", []).append(bar)
+        if not found:
+            best = min(rows, key=lambda r: r["flip"]) if rows else None
+            if best is not None:
+                lines.append(
+                    f"<li><a href='#{_id(name)}'>{escape(name)}</a>: nothing comes under FLIP {BARS[0]:g}; nearest is "
+                    f"<b>{escape(best['label'])}</b> with {shown(best['flip'])} in {shown(best[clock])} ms.</li>"
+                )
+            continue
+        says = "; ".join(f"under {' and '.join(f'{b:g}' for b in bars)}: {label}" for label, bars in found.items())
+        lines.append(f"<li><a href='#{_id(name)}'>{escape(name)}</a>: {says}.</li>")
+    return f"<h3>The cheapest picture with a FLIP</h3><ul>{''.join(lines)}</ul>" if lines else ""
+
+
+def _scene(study: "Study", name: str, output: Path, files: dict[str, str]) -> str:
+    about, rows = study.scenes[name], _of(study, name)
+    reference = about["reference"]
+    w, h = about["size"]
+    reached = "" if reference["complete"] else ", stopped by its limit of time or paths"
+    parts = [
+        f'<section id="{_id(name)}"><h2>{escape(name)}</h2>',
+        f'<p class="soft">{about["triangles"]:,} triangles drawn, {about["lights"]} lights, {w} × {h} pixels, camera '
+        f"“{escape(about['camera'])}”. The reference has {reference['samples']:,} paths a pixel of up to "
+        f"{reference['bounces']} bounces ({_duration(reference['seconds'])}{reached}); its own noise is "
+        f"FLIP {shown(reference['noise_flip'])}, relative MSE {shown(reference['noise_rel_mse'])}: smaller errors "
+        "cannot be told apart.</p>",
+        _key(),
+        '<div class="charts">',
+    ]
+    clock = study.machine.get("time", "frame_ms")
+    for axis in ("", *techniques.TECHNIQUES):
+        svg, caption = _chart(name, axis, rows, clock, reference)
+        if svg:
+            files[f"{name}-{axis or 'picture'}"] = svg
+            only = "" if axis else ' class="only"'
+            parts.append(f'<figure{only}><div class="wide">{svg}</div><figcaption>{caption}</figcaption></figure>')
+    parts += ["</div>", _compare(name, rows), _table(rows, clock), _strip(name, about, rows, output), "</section>"]
+    return "".join(parts)
+
+
+def _chart(name: str, axis: str, rows: Sequence[Row], clock: str, reference: Row) -> tuple[str, str]:
+    from glhybrid.study.run import error_key
+
+    if axis:
+        rows = [row for row in rows if axis in row["axes"]]
+    if len(rows) < 2:
+        return "", ""
+    key = error_key(axis, rows) if axis else "flip"
+    points = [
+        Point(
+            row[clock], row[key], row["names"].get(axis, row["label"]) if axis else row["label"], _kind(row, axis),
+            axis in row["pareto_axes"] if axis else row["pareto"], not row["parameters"] or bool(axis),
+        )
+        for row in rows
+    ]  # fmt: skip
+    what = {
+        "": "HDR-FLIP of the whole picture", "flip_shadow": "HDR-FLIP of the direct light alone",
+        "flip_reflection": "HDR-FLIP, weighted by how specular a pixel is", "flip": "HDR-FLIP of the whole picture",
+    }[key if axis else ""]  # fmt: skip
+    title = f"{name}: frame time against error" + (f", {axis}" if axis else "")
+    floor = reference["noise_flip"] if key != "flip_shadow" else None
+    svg = charts.scatter(
+        points,
+        title=title,
+        x_label=_clock_name(clock),
+        y_label=what,
+        floor=floor,
+        floor_label="noise of the reference",
+        size=charts.NARROW if axis else charts.WIDE,
+    )
+    if axis:
+        others = ", ".join(sorted({row[k] for row in rows for k in techniques.TECHNIQUES if k != axis}))
+        caption = f"<b>{axis.capitalize()}.</b> All with {escape(others)}. The line joins what nothing beats in both."
+    else:
+        caption = (
+            "<b>The whole picture.</b> Everything measured; the line joins what nothing beats in both time and error."
+        )
+    return svg, caption
+
+
+COLUMNS: tuple[tuple[str, str, str], ...] = (
+    ("frame_ms", "frame<br>ms", "median, from finish to finish"),
+    ("frame_cpu_ms", "CPU<br>ms", "processor time over threads"),
+    ("trace_ms", "its passes<br>ms", "passes that this technique brings"),
+    ("bytes", "memory<br>MiB", "images and buffers on the device"),
+    ("flip", "FLIP", "HDR-FLIP, mean"),
+    ("flip_shadow", "FLIP,<br>direct light", "of the direct light alone"),
+    ("flip_reflection", "FLIP,<br>specular", "weighted by specular share"),
+    ("rel_mse", "relative<br>MSE", ""),
+    ("psnr", "PSNR<br>dB", ""),
+    ("ssim", "SSIM", ""),
+    ("bias_percent", "bias<br>%", "of mean luminance"),
+    ("wrong_shadow_percent", "wrong<br>shadow %", "of pixels that face a light"),
+    ("wrong_shadow_outside_percent", "outside<br>edges %", "outside the one-pixel band of the true edge"),
+    ("wrong_shadow_inside_percent", "inside<br>edges %", "inside that band"),
+    ("right_object_percent", "right<br>object %", "of mirror pixels that show the object that is there"),
+    ("reflected_error_px", "reflected<br>point, px", "median error of the reflected point, where the object is right"),
+    ("flicker", "flicker", "mean change of a world point under a pan by one pixel, over mean luminance"),
+    ("flip_rate_percent", "shadow<br>flips %", "points whose shadow changes sides, a frame of that pan"),
+)
+
+
+def _table(rows: Sequence[Row], clock: str) -> str:
+    columns = [c for c in COLUMNS if any(row.get(c[0]) is not None for row in rows)]
+    if clock == "frame_ms":
+        columns = [c for c in columns if c[0] != "frame_cpu_ms"]
+    head = "".join(f'<th title="{escape(tip, quote=True)}"><button>{text}</button></th>' for _, text, tip in columns)
+    body = []
+    for row in sorted(rows, key=lambda r: r[clock]):
+        cells = "".join(_cell(row, key) for key, _, _ in columns)
+        front = ' class="front"' if row["pareto"] else ""
+        body.append(f"<tr{front}><td>{escape(row['label'])}</td>{cells}</tr>")
+    return (
+        "<h3>All figures</h3><p class='soft'>A dot: on the front of the whole picture. A head sorts.</p>"
+        f'<div class="wide"><table class="sortable"><thead><tr><th><button>technique</button></th>{head}</tr></thead>'
+        f"<tbody>{''.join(body)}</tbody></table></div>"
+    )
+
+
+def _cell(row: Row, key: str) -> str:
+    value = row.get(key)
+    if value is None:
+        return '<td data-value=""></td>'
+    if key == "bytes":
+        value = value / 2**20
+    spread = row.get("frame_ms_spread") if key == "frame_ms" else None
+    extra = f" title='± {100 * spread:.0f} %'" if spread is not None else ""
+    return f'<td data-value="{value:.9g}"{extra}>{shown(float(value))}</td>'
+
+
+def _pictured(rows: Sequence[Row]) -> list[Row]:
+    """Whose pictures are in the page: techniques at their defaults, and what is on a front."""
+    return [row for row in rows if not row["parameters"] or row["pareto"] or row["pareto_axes"]]
+
+
+def _compare(name: str, rows: Sequence[Row]) -> str:
+    labels = ["reference", *(row["label"] for row in _pictured(rows))]
+    if len(labels) < 2:
+        return ""
+
+    def options(chosen: str) -> str:
+        return "".join(f"<option{' selected' if label == chosen else ''}>{escape(label)}</option>" for label in labels)
+
+    worst = max(_pictured(rows), key=lambda r: r["flip"])["label"]
+    return (
+        f'<h3>Side by side</h3><div class="compare" data-scene="{_id(name)}" hidden><div class="pick">'
+        f'<label>left <select class="cell">{options(worst)}</select></label>'
+        f'<label>right <select class="cell">{options("reference")}</select></label>'
+        '<label><input type="checkbox" class="flip"> FLIP maps</label></div>'
+        '<div class="stage"><img alt=""><img class="over" alt=""><div class="bar"></div>'
+        '<span class="tag left"></span><span class="tag right"></span>'
+        '<input type="range" min="0" max="100" step="0.5" value="50" aria-label="share of the left picture"></div></div>'
+    )
+
+
+def _strip(name: str, about: Row, rows: Sequence[Row], output: Path) -> str:
+    folder = output / name
+    figures = [
+        _figure("reference", f"{about['reference']['samples']:,} paths a pixel", folder, {"png": "reference.png"})
+    ]
+    for row in sorted(_pictured(rows), key=lambda r: r["flip"]):
+        figures.append(_figure(row["label"], f"FLIP {shown(row['flip'])}", folder, row["images"]))
+    return (
+        "<h3>Pictures, and where they are wrong</h3>"
+        '<p class="soft">Below each picture its FLIP map: 0 <span class="scale"></span> 1. '
+        f"Full pictures, with EXR, are in the folder <code>{escape(name)}/</code>.</p>"
+        f'<div class="strip">{"".join(figures)}</div>'
+    )
+
+
+def _figure(label: str, says: str, folder: Path, images: dict[str, str]) -> str:
+    parts = []
+    for kind in ("png", "flip"):
+        if kind in images:
+            alt = label if kind == "png" else f"FLIP map of {label}"
+            parts.append(
+                f'<img data-cell="{escape(label, quote=True)}" data-kind="{kind}" loading="lazy" '
+                f'alt="{escape(alt, quote=True)}" src="{embedded(folder / images[kind])}">'
+            )
+    return f"<figure>{''.join(parts)}<figcaption><b>{escape(label)}</b>, {says}</figcaption></figure>"
+
+
+def embedded(path: Path, widest: int = WIDEST) -> str:
+    """An image file as a data URI: WebP, at most `widest` pixels wide."""
+    from PIL import Image
+
+    with Image.open(path) as image:
+        picture = image.convert("RGB")
+    if picture.width > widest:
+        picture = picture.resize(
+            (widest, max(1, round(picture.height * widest / picture.width))), Image.Resampling.LANCZOS
+        )
+    buffer = io.BytesIO()
+    picture.save(buffer, "WEBP", quality=90, method=4)
+    return "data:image/webp;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+def _curves(study: "Study", files: dict[str, str]) -> str:
+    if not study.curves:
+        return ""
+    parts = [
+        '<section id="stability"><h2>Stability</h2><p>Error over one parameter at a time. A ring marks where a technique '
+        'breaks: the first value at which it passes the bar, if it was under it before.</p><div class="charts">'
+    ]
+    for curve in study.curves:
+        lines = [Line(e["technique"], curve["values"], _numbers(e["errors"]), e["breaks"]) for e in curve["lines"]]
+        svg = charts.curves(
+            lines, title=curve["title"], x_label=curve["parameter"], y_label=curve["measure"], log_x=curve["log"],
+            bar=curve["bar"],
+        )  # fmt: skip
+        files[f"stability-{curve['name']}"] = svg
+        broken = [f"{e['technique']} at {shown(e['breaks'])}" for e in curve["lines"] if e["breaks"] is not None]
+        says = f"Breaks: {', '.join(broken)}." if broken else "Nothing breaks."
+        parts.append(
+            f'<figure><div class="wide">{svg}</div><figcaption><b>{escape(curve["title"])}.</b> '
+            f"{escape(curve.get('about', ''))} {escape(says)}</figcaption></figure>"
+        )
+    return "".join([*parts, "</div></section>"])
+
+
+def _numbers(values: Sequence[float | None]) -> list[float]:
+    return [float("nan") if v is None else v for v in values]
+
+
+def _paper(study: "Study") -> str:
+    if not study.paper:
+        return ""
+    from glhybrid.study.report.tables import paper
+
+    return paper(study.paper)
+
+
+def _peers(study: "Study") -> str:
+    if not study.peers:
+        return ""
+    from glhybrid.study.report.tables import peers
+
+    return peers(study.peers)
+
+
+def _failures(study: "Study") -> str:
+    if not study.failures:
+        return ""
+    colour = {"holds": "good", "fails as expected": "soft", "unexpected": "bad"}
+    body = "".join(
+        f"<tr><td>{escape(str(f['case']))}</td><td class='text'>{escape(str(f['technique']))}</td>"
+        f"<td class='text'>{escape(str(f['measure']))}</td><td data-value='{_sortable(f['value'])}'>{_value(f['value'])}</td>"
+        f"<td class='text'>{_value(f['expected'])}</td>"
+        f"<td class='text {colour.get(f['verdict'], '')}'>{escape(str(f['verdict']))}</td></tr>"
+        for f in study.failures
+    )
+    names = ("case", "technique", "measure", "value", "expected", "verdict")
+    head = "".join(f"<th class='text'><button>{name}</button></th>" for name in names)
+    return (
+        '<section id="failures"><h2>The failure library</h2><p>Small scenes, each made to break one technique. Depth maps '
+        "and screen space must fail where theory says; traced techniques must hold.</p>"
+        f'<div class="wide"><table class="sortable"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div></section>'
+    )
+
+
+def _value(value: object) -> str:
+    return (
+        shown(float(value)) if isinstance(value, (int, float)) and not isinstance(value, bool) else escape(str(value))
+    )
+
+
+def _sortable(value: object) -> str:
+    return f"{value:.9g}" if isinstance(value, (int, float)) else ""
+
+
+def _reading(study: "Study") -> str:
+    return (
+        '<section id="reading"><h2>How to read this</h2>'
+        "<p><b>Time</b> is a whole frame at one sample a pixel, median, from finish to finish after a warm-up; hover over it "
+        "for its spread. <b>Error</b> is HDR-FLIP: 0 is equal, 1 as different as can be seen; about 0.02 is hard to see "
+        "side by side, 0.1 is plain. Pictures are compared in linear radiance, through the pixels' centres, so nothing is "
+        "antialiased.</p>"
+        "<p><b>The reference</b> is the full light transport: sky behind obstacles and light between surfaces too. The "
+        "techniques here leave those out, so the whole picture keeps an error that no choice of shadow or reflection "
+        "removes. The charts by kind leave that part out: <b>direct light</b> is lights alone, held against rays to points "
+        "all over each light; <b>specular</b> weights a pixel's error by how much of its reflectance is specular.</p>"
+        "<p><b>Wrong shadow</b>: pixels on the other side of one half than the truth, of those that face the light, also "
+        "outside and inside the band of one pixel about the true edge. <b>Flicker</b> and <b>flips</b>: what changes at the "
+        "same world points while an orthographic camera pans by whole pixels.</p></section>"
+    )
+
+
+def _notes(study: "Study") -> str:
+    notes = "".join(f"<li>{escape(note)}</li>" for note in study.notes) or "<li>Nothing was left out.</li>"
+    return f'<section id="notes"><h2>Notes</h2><ul class="notes">{notes}</ul></section>'
+
+
+# Words ----------------------------------------------------------------------------------------------------------------
+
+
+def _of(study: "Study", name: str) -> list[Row]:
+    return [row for row in study.rows if row["scene"] == name]
+
+
+def _kind(row: Row, axis: str) -> str:
+    """raster, traced or random: of the axis' technique, or of all."""
+    names = [(axis, row[axis])] if axis else [(k, row[k]) for k in techniques.TECHNIQUES]
+    used = [techniques.TECHNIQUES[k][n] for k, n in names]
+    if any(t.stochastic for t in used):
+        return "random"
+    return "traced" if any(t.traced for t in used) else "raster"
+
+
+def _key() -> str:
+    marks: tuple[tuple[str, Callable[[], str]], ...] = (
+        ("no rays", lambda: '<rect class="mark raster on" x="3" y="3" width="9" height="9"/>'),
+        ("rays", lambda: '<circle class="mark traced on" cx="7.5" cy="7.5" r="5"/>'),
+        ("random rays", lambda: '<polygon class="mark random on" points="7.5,2 13,12 2,12"/>'),
+    )
+    spans = "".join(f'<span><svg class="chart" viewBox="0 0 15 15">{mark()}</svg>{name}</span>' for name, mark in marks)
+    return f'<div class="key">{spans}<span>filled: on the front</span></div>'
+
+
+def _clock_name(clock: str) -> str:
+    return "frame time, ms" if clock == "frame_ms" else "processor time of a frame over threads, ms"
+
+
+def _duration(seconds: float) -> str:
+    from glhybrid.study.progress import spoken
+
+    return spoken(seconds)
+
+
+def _id(name: str) -> str:
+    return "scene-" + "".join(c if c.isalnum() else "-" for c in name)

@@ -1,0 +1,194 @@
+"""Which pictures a study makes: every implemented technique of the registry, over what trades time for error.
+
+A cell is one way to make a picture. An axis is swept with the other kinds at their defaults, so that a difference is of
+the technique alone; then the techniques on the fronts of all axes are put together (`pairs`).
+"""
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any
+
+from glhybrid import needs, techniques
+from glhybrid.errors import SettingError, unknown
+from glhybrid.scene import Scene
+from glhybrid.settings import Settings, Value
+from glhybrid.techniques import Parameter, Technique
+
+TRUTH = "reference"
+OCTAVES = (0.25, 0.5, 2.0, 4.0)  # of a count that is swept
+QUICK_OCTAVES = (0.25,)
+SAMPLES = (1, 2, 4, 8, 16)
+QUICK_SAMPLES = (1, 4)
+PAIRS = "pairs"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """techniques: one of each kind. parameters: full keys, only what differs from the default. axis: what it is for."""
+
+    techniques: Mapping[str, str]
+    parameters: Mapping[str, Value] = field(default_factory=dict)
+    samples: int | None = None  # of the stochastic techniques, if there is one
+    axis: str = ""
+
+    def settings(self, base: Settings) -> Settings:
+        """The settings that make it: one sample a pixel, through the pixel's centre."""
+        changes: dict[str, Any] = dict(self.techniques) | {"aa": 1}
+        if self.samples is not None:
+            changes["samples"] = self.samples
+        return base.replace(**changes, parameters=dict(self.parameters))
+
+    @property
+    def values(self) -> dict[str, Value]:
+        """What was set: parameters by their full keys, and samples."""
+        return dict(self.parameters) | ({"samples": self.samples} if self.samples is not None else {})
+
+    @property
+    def key(self) -> str:
+        """Equal for cells that make the same picture."""
+        return json.dumps([dict(self.techniques), self.values], sort_keys=True)
+
+    def name(self, kind: str) -> str:
+        """The technique of one kind with what is set for it: "csm 512", "ray-glossy 4 spp"."""
+        name = self.techniques[kind]
+        words = [name]
+        for key, value in self.parameters.items():
+            if key.startswith(f"{kind}.{name}."):
+                parameter = key.rpartition(".")[2].replace("_", " ")
+                words.append(f"{parameter} {_shown(value)}")
+        if self.samples is not None and techniques.TECHNIQUES[kind][name].stochastic:
+            words.append(f"{self.samples} spp")
+        return " ".join(words)
+
+    @property
+    def names(self) -> dict[str, str]:
+        """Of every kind."""
+        return {kind: self.name(kind) for kind in self.techniques}
+
+    @property
+    def label(self) -> str:
+        """Of the whole picture: "csm resolution 512 + ray-lerp". A further kind that is off is left out."""
+        shown = [k for k in self.techniques if k in ("shadows", "reflections") or self.techniques[k] != "none"]
+        return " + ".join(self.name(kind) for kind in shown)
+
+    @property
+    def stem(self) -> str:
+        """A file name of it."""
+        return "".join(c if c.isalnum() or c in "-." else "_" for c in self.label.replace(" + ", "__"))
+
+    @property
+    def traced(self) -> bool:
+        return any(techniques.TECHNIQUES[k][n].traced for k, n in self.techniques.items())
+
+    @property
+    def stochastic(self) -> bool:
+        return any(techniques.TECHNIQUES[k][n].stochastic for k, n in self.techniques.items())
+
+
+def _shown(value: Value) -> str:
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def defaults() -> dict[str, str]:
+    """The technique of each kind that a frame has if nothing is said."""
+    settings = Settings()
+    return {kind: str(getattr(settings, kind)) for kind in techniques.TECHNIQUES}
+
+
+def contestants(kind: str, only: Sequence[str] = ()) -> list[Technique]:
+    """What is implemented of a kind, but for the path tracer that all are held against."""
+    found = [t for t in techniques.TECHNIQUES[kind].values() if t.implemented and t.name != TRUTH]
+    return [t for t in found if not only or t.name in only]
+
+
+def check_names(names: Iterable[str]) -> tuple[str, ...]:
+    """Techniques asked for by name. Raises SettingError for one that no kind has in this version."""
+    names = tuple(dict.fromkeys(name.strip() for name in names if name.strip()))
+    known = {t.name for kind in techniques.TECHNIQUES for t in contestants(kind)}
+    for name in names:
+        if name not in known:
+            raise SettingError(unknown("technique for a study", name, known))
+    return names
+
+
+def skipped_axes(scene: Scene) -> dict[str, str]:
+    """Kinds that change nothing in a scene, with the reason."""
+    skipped = {}
+    if not scene.lights:
+        skipped["shadows"] = "the scene has no light that casts shadows"
+    if not any(needs.reflective(scene.materials[i], 1.0) for i in needs.used_materials(scene)):
+        skipped["reflections"] = "no material is smoother than roughness 1"
+    return skipped
+
+
+def axis(kind: str, *, quick: bool, only: Sequence[str] = ()) -> list[Cell]:
+    """Every technique of a kind, at its defaults and over the values that it declares or that a count allows."""
+    cells: list[Cell] = []
+    for technique in contestants(kind, only):
+        chosen = defaults() | {kind: technique.name}
+        samples = samples_swept(technique, quick)
+        base = samples[-1] if quick else samples[len(samples) // 2]
+        # Another kind's default may be stochastic too: it then has what this axis' base has.
+        spent = base if any(techniques.TECHNIQUES[k][n].stochastic for k, n in chosen.items()) else None
+        cells.append(Cell(chosen, {}, spent, kind))
+        if technique.stochastic:
+            cells += [Cell(chosen, {}, n, kind) for n in samples if n != base]
+        for parameter in technique.parameters:
+            cells += [Cell(chosen, {technique.key(parameter): value}, spent, kind) for value in swept(parameter, quick)]
+    return unique(cells)
+
+
+def samples_swept(technique: Technique, quick: bool) -> tuple[int, ...]:
+    return QUICK_SAMPLES if quick else SAMPLES
+
+
+def swept(parameter: Parameter, quick: bool) -> list[Value]:
+    """Values beside the default: as declared, else octaves of a whole number, which is a count and so a cost."""
+    if parameter.sweep is not None:
+        values: list[Value] = [v for v in parameter.sweep if v != parameter.default]
+        return values[:1] if quick else values
+    if type(parameter.default) is not int:
+        return []
+    low = 1 if parameter.low is None else parameter.low
+    high = float("inf") if parameter.high is None else parameter.high
+    found: list[Value] = []
+    for octave in QUICK_OCTAVES if quick else OCTAVES:
+        value = int(min(max(round(parameter.default * octave), low), high))
+        if value != parameter.default and value not in found:
+            found.append(value)
+    return found
+
+
+def pairs(fronts: Mapping[str, Sequence[Cell]], limit: int | None = None) -> list[Cell]:
+    """All combinations of what is best on each axis, but those that an axis has measured. limit: the most."""
+    kinds = list(fronts)
+    measured = {cell.key for cells in fronts.values() for cell in cells}
+    found = []
+    for chosen in product(*(fronts[kind] for kind in kinds)):
+        names, samples = defaults(), None
+        values: dict[str, Value] = {}
+        for kind, cell in zip(kinds, chosen, strict=True):
+            names[kind] = cell.techniques[kind]
+            values |= {k: v for k, v in cell.parameters.items() if k.startswith(f"{kind}.")}
+            if techniques.TECHNIQUES[kind][names[kind]].stochastic and cell.samples is not None:
+                samples = max(samples or 1, cell.samples)
+        pair = Cell(names, values, samples, PAIRS)
+        if pair.key not in measured:
+            found.append(pair)
+    found = unique(found)
+    if limit is not None and len(found) > limit:
+        step = len(found) / limit
+        found = [found[int(i * step)] for i in range(limit)]
+    return found
+
+
+def unique(cells: Iterable[Cell]) -> list[Cell]:
+    """The first of each that makes the same picture, in order."""
+    found: dict[str, Cell] = {}
+    for cell in cells:
+        found.setdefault(cell.key, cell)
+    return list(found.values())

@@ -1,0 +1,188 @@
+"""A small study end to end: what it writes, what its figures say, that it goes on where it was stopped."""
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from rays import moved, scene_of
+
+import glhybrid as gh
+from glhybrid.errors import OutputError, SettingError
+from glhybrid.load.shapes import box
+from glhybrid.scene import Camera, Environment, Light, Material, Scene, Sphere
+from glhybrid.settings import Settings
+from glhybrid.study import direct, measure, reference, run, stability
+from glhybrid.study.measure import Clock
+
+if TYPE_CHECKING:
+    from glhybrid.context import Context
+
+pytest.importorskip("flip_evaluator", reason="a study measures with flip-evaluator")
+SIZE = (64, 48)
+CAMERA = Camera.look_at((3.0, 2.5, 4.0), (0, 0.4, 0), fov_y=0.7, name="main")
+
+
+def stage(light: Light | None = None) -> Scene:
+    """A metal box and a ball on a floor, under a sky and a sun, from flat pieces."""
+    materials = (Material(double_sided=True), Material(metallic=1.0, roughness=0.1, double_sided=True))
+    shapes = (box(size=(8, 0.2, 8)), replace(box(size=(0.8, 1, 0.8)), material=1), Sphere(0.5, 0))
+    poses = [moved(np.array(at)) for at in ((0, -0.1, 0), (-0.5, 0.5, 0), (0.8, 0.5, 0.4))]
+    scene = scene_of(*shapes, poses=poses, materials=materials)
+    sun = light or Light("directional", direction=(-0.6, -0.7, -0.4), intensity=3.0)
+    sky = Environment(np.full((1, 1, 3), 0.5, np.float32))
+    return scene.replace(name="stage", lights=(sun,), environment=sky, cameras=(CAMERA,))
+
+
+@pytest.fixture
+def renderer(context: "Context") -> "Iterator[gh.Renderer]":
+    with gh.Renderer(context=context) as opened:
+        yield opened
+
+
+def _run(folder: Path, monkeypatch: pytest.MonkeyPatch, context: "Context", **extra: object) -> run.Study:
+    monkeypatch.setenv("GLHYBRID_CACHE", str(folder / "cache"))
+    monkeypatch.setattr(run, "Renderer", lambda device: gh.Renderer(context=context))
+    options = {"quick": True, "size": SIZE, "samples": 8, "only": ("map", "ray", "env", "ray-lerp"), "parts": ()}
+    return run.run(("stage",), folder / "out", load=lambda _: stage(), **(options | extra))  # type: ignore[arg-type]
+
+
+def test_a_study_end_to_end_and_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, context: "Context") -> None:
+    first = _run(tmp_path, monkeypatch, context, command="glhybrid study stage -o out")
+    out = tmp_path / "out"
+    results = json.loads((out / "results.json").read_text())
+    assert results["rows"] and results["machine"]["device"]["renderer"]
+    wanted = {
+        "scene", "shadows", "reflections", "parameters", "frame_ms", "trace_ms", "bytes", "flip", "rel_mse", "psnr",
+        "wrong_shadow_percent", "flicker", "pareto",
+    }  # fmt: skip
+    for row in results["rows"]:
+        assert wanted <= row.keys()
+        assert row["frame_ms"] > 0 and row["bytes"] > 0 and 0 < row["flip"] < 1
+        for name in row["images"].values():
+            assert (out / "stage" / name).stat().st_size > 0
+    assert any(row["pareto"] for row in results["rows"])
+    by = {(r["shadows"], r["reflections"], bool(r["parameters"])): r for r in results["rows"]}
+    ray, depth = by["ray", "ray-lerp", False], by["map", "ray-lerp", False]
+    assert ray["wrong_shadow_percent"] == 0 and ray["flip_shadow"] == 0, "a hard sun: rays are the truth"
+    assert depth["wrong_shadow_percent"] > 0 and depth["flip_shadow"] > 0
+    assert ray["flip_rate_percent"] == 0 and ray["flicker"] < 0.05
+    assert by["ray", "env", False]["flip_reflection"] > ray["flip_reflection"], "env reflects what is not there"
+    assert ray["trace_ms"] < ray["frame_ms"] * 2 and set(ray["passes"]) >= {"gbuffer", "shadow", "reflect", "composite"}
+    lines = (out / "results.csv").read_text().splitlines()
+    assert len(lines) == len(results["rows"]) + 1
+    page = (out / "report.html").read_text()
+    assert not re.search(r'(src|href)="(?!data:|#)', page) and "@import" not in page and "url(" not in page, "offline"
+    assert "glhybrid study stage -o out" in page and "<svg" in page and page.count("data:image/webp") > 6
+    assert (out / "charts" / "stage-picture.svg").is_file()
+    # Again: nothing is measured, every figure is as it was.
+    monkeypatch.setattr(measure, "time_frames", lambda *_: pytest.fail("was kept"))
+    second = _run(tmp_path, monkeypatch, context)
+    assert [r["frame_ms"] for r in second.rows] == [r["frame_ms"] for r in first.rows]
+
+
+def test_a_stopped_study_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, context: "Context") -> None:
+    """Killed in its third cell: the first two are kept, and nothing is half-written."""
+    real, calls = measure.time_frames, []
+
+    def stopping(*args: object) -> measure.Times:
+        calls.append(args)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return real(*args)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(measure, "time_frames", stopping)
+    with pytest.raises(KeyboardInterrupt):
+        _run(tmp_path, monkeypatch, context)
+    kept = sorted(p.name for p in (tmp_path / "out" / "stage").glob("*.json"))
+    assert len(kept) == 3, "two cells and the reference"
+    assert not list((tmp_path / "out").rglob("*.part*"))
+    study = _run(tmp_path, monkeypatch, context)
+    assert len(calls) == 3 + len(study.rows) - 2
+
+
+def test_bad_input_is_refused_before_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, context: "Context") -> None:
+    with pytest.raises(SettingError, match="unknown technique"):
+        _run(tmp_path, monkeypatch, context, only=("magic",))
+    with pytest.raises(SettingError, match="camera"):
+        _run(tmp_path, monkeypatch, context, camera="nowhere")
+    with pytest.raises(SettingError, match="16 pixels"):
+        _run(tmp_path, monkeypatch, context, size=(8, 8))
+    (tmp_path / "out").mkdir(exist_ok=True)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError):
+        run.run(("stage",), tmp_path / "file", load=lambda _: stage())
+
+
+def test_the_reference_knows_its_noise(renderer: gh.Renderer, tmp_path: Path) -> None:
+    """Its expected error is the real one, measured against a picture of many more paths; and it goes on from disk."""
+    scene = stage().replace(lights=())  # a sun in a glossy box is found by one path in thousands: no halves tell of it
+    few = reference.converge(renderer, scene, CAMERA, SIZE, bounces=2, target=0.0, most=16, folder=tmp_path)
+    many = reference.converge(renderer, scene, CAMERA, SIZE, bounces=2, target=0.0, most=512, folder=tmp_path)
+    assert many.samples >= 512 and many.noise_flip < few.noise_flip / 2
+    real = float(reference.picture.flip_map(few.radiance, many.radiance).mean())
+    assert 0.6 < real / few.noise_flip < 1.6
+    again = reference.converge(renderer, scene, CAMERA, SIZE, bounces=2, target=0.0, most=512, folder=tmp_path)
+    assert np.array_equal(again.radiance, many.radiance) and again.samples == many.samples
+    for path in tmp_path.glob("*.npz"):
+        path.write_bytes(path.read_bytes()[:1000])
+    anew = reference.converge(renderer, scene, CAMERA, SIZE, bounces=2, target=0.0, most=16, folder=tmp_path)
+    assert np.array_equal(anew.radiance, few.radiance), "a damaged file is made anew"
+
+
+def test_direct_light_is_what_is_drawn(renderer: gh.Renderer) -> None:
+    """Visibility times unblocked light, summed over lights, is the renderer's own picture without a sky."""
+    lamp = Light("point", position=(1.5, 2.0, 1.0), intensity=5.0)
+    scene = stage().replace(lights=(*stage().lights, lamp))
+    light = direct.find(renderer, scene, CAMERA, SIZE)
+    drawn = renderer.render(
+        scene.replace(environment=None), CAMERA, SIZE, Settings(reflections="none", aa=1), aovs=("visibility",)
+    )
+    assert np.allclose(light.direct(drawn["visibility"]), drawn["radiance"], rtol=1e-4, atol=1e-5)
+    assert np.array_equal(light.visibility, drawn["visibility"]), "hard lights"
+
+
+def test_a_lamp_with_a_size_has_a_penumbra_of_the_right_width(renderer: gh.Renderer) -> None:
+    """The truth of a half-plane's shadow under a disc: a straight edge across a disc (metrics.disc_visibility)."""
+    from shadow_scenes import half_plane
+
+    from glhybrid.study.metrics import disc_visibility
+
+    height, half = 1.0, np.radians(2.0)
+    scene, view = half_plane(height, float(half))
+    light = direct.find(renderer, scene, view, (96, 6), points=256)
+    assert np.isclose(view.xmag, 3 * height * np.tan(half))
+    x = ((np.arange(96) + 0.5) / 96 * 2 - 1) * view.xmag
+    want = disc_visibility(x / (height * np.tan(half)))
+    got = light.visibility[2, :, 0]
+    if got[0] > got[-1]:
+        got = got[::-1]
+    assert np.abs(got - want).mean() < 0.01
+
+
+def test_flips_and_flicker(renderer: gh.Renderer) -> None:
+    """Rays do not flip in a pan by whole pixels; maps that are not snapped to their texels do."""
+    scene = stage()
+    camera = stability.orthographic(CAMERA, stability.typical_depth(renderer, scene, CAMERA))
+    traced = stability.pan(renderer, scene, camera, SIZE, Settings(aa=1), 3)
+    coarse = {"shadows.csm.resolution": 64, "shadows.csm.snap": False}
+    mapped = stability.pan(renderer, scene, camera, SIZE, Settings(shadows="csm", aa=1, parameters=coarse), 3)
+    assert traced.flip_rate_percent == 0 < mapped.flip_rate_percent
+    assert traced.flicker < mapped.flicker
+
+
+def test_times_are_of_whole_frames(renderer: gh.Renderer) -> None:
+    times = measure.time_frames(renderer, stage(), CAMERA, SIZE, Settings(aa=1), Clock(frames=4, seconds=0.0))
+    assert times.frames >= 4 and times.frame_ms > 0 and times.cpu_ms > 0
+    assert times.trace_ms == pytest.approx(times.passes["shadow"] + times.passes["reflect"])
+
+
+def test_specular_share(renderer: gh.Renderer) -> None:
+    share = measure.specular_share(renderer, stage(), CAMERA, SIZE)
+    frame = renderer.render(stage(), CAMERA, SIZE, Settings(aa=1), aovs=("metallic", "instance_id"))
+    metal, sky = frame["metallic"] == 1, frame["instance_id"] == 0xFFFFFFFF
+    assert (share[metal] > 0.99).all() and (share[~metal & ~sky] < 0.5).all() and (share[sky] == 0).all()
