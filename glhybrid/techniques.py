@@ -60,7 +60,14 @@ def _depth_map(*own: Parameter) -> tuple[Parameter, ...]:
     )
 
 
-_CUTOFF = Parameter("cutoff", 1.0, "roughness from which the blurred sky stands in and nothing is looked for", 0.0, 1.0)
+_CUTOFF = Parameter(
+    "cutoff",
+    1.0,
+    "roughness from which the blurred sky stands in and nothing is looked for",
+    0.0,
+    1.0,
+    sweep=(0.5, 0.25),
+)
 _STEPS = Parameter("steps", 256, "cells of the depth pyramid that a ray looks at, at most", 1, 65536)
 _PLANE = Parameter("receiver_plane", True, "each tap is compared with the depth of the receiver's plane there")
 

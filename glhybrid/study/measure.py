@@ -154,9 +154,7 @@ def save_images(folder: Path, stem: str, frame: Frame, flip: F32 | None) -> dict
 def describe(cell: Cell, times: Times) -> dict[str, Any]:
     """The part of a row that says what was made, and how long it took."""
     return {
-        **cell.techniques, "parameters": cell.values, "label": cell.label, "names": cell.names, "traced": cell.traced,
-        "stochastic": cell.stochastic,
-        "frame_ms": times.frame_ms, "trace_ms": times.trace_ms,
-        "frame_cpu_ms": times.cpu_ms, "frame_ms_spread": times.spread,
-        "passes": times.passes,
+        **cell.techniques, "parameters": dict(cell.parameters), "label": cell.label, "names": cell.names,
+        "frame_ms": times.frame_ms, "trace_ms": times.trace_ms, "frame_cpu_ms": times.cpu_ms,
+        "frame_ms_spread": times.spread, "passes": times.passes,
     }  # fmt: skip

@@ -234,7 +234,7 @@ class _SceneStudy:
         axes = {kind: sweep.axis(kind, quick=quick, only=only) for kind in kinds}
         self.axes = {kind: cells for kind, cells in axes.items() if len(cells) > 1 or only}
         if not any(self.axes.values()):
-            self.axes = {"shadows": [Cell(sweep.defaults(), axis="shadows")]}
+            self.axes = {"shadows": [Cell(sweep.defaults())]}
 
     def size_of_work(self) -> float:
         limit = self.spent.pairs if self.spent.pairs is not None else 12
@@ -306,7 +306,7 @@ class _SceneStudy:
 
     def _cell(self, cell: Cell, axis: str, seen: dict[str, dict[str, Any]]) -> None:
         self.meter.begin(f"{self.name}: {cell.label}")
-        settings = replace(cell, axis=axis).settings(Settings(exposure=self.exposure))
+        settings = cell.settings(Settings(exposure=self.exposure))
         stem = cell.stem
         path = self.folder / f"{stem}.json"
         key = store.fingerprint(

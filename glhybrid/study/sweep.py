@@ -8,7 +8,6 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import Any
 
 from glhybrid import needs, techniques
 from glhybrid.errors import SettingError, unknown
@@ -19,47 +18,36 @@ from glhybrid.techniques import Parameter, Technique
 TRUTH = "reference"
 OCTAVES = (0.25, 0.5, 2.0, 4.0)  # of a count that is swept
 QUICK_OCTAVES = (0.25,)
-SAMPLES = (1, 2, 4, 8, 16)
-QUICK_SAMPLES = (1, 4)
+SAMPLES = "samples"  # the parameter of that name: rays a pixel
+SAMPLE_COUNTS = (1, 2, 4, 8, 16, 64)
+QUICK_SAMPLE_COUNTS = (1, 4)
 PAIRS = "pairs"
 
 
 @dataclass(frozen=True)
 class Cell:
-    """techniques: one of each kind. parameters: full keys, only what differs from the default. axis: what it is for."""
+    """techniques: one of each kind. parameters: full keys, only what is set for this cell."""
 
     techniques: Mapping[str, str]
     parameters: Mapping[str, Value] = field(default_factory=dict)
-    samples: int | None = None  # of the stochastic techniques, if there is one
-    axis: str = ""
 
     def settings(self, base: Settings) -> Settings:
         """The settings that make it: one sample a pixel, through the pixel's centre."""
-        changes: dict[str, Any] = dict(self.techniques) | {"aa": 1}
-        if self.samples is not None:
-            changes["samples"] = self.samples
-        return base.replace(**changes, parameters=dict(self.parameters))
-
-    @property
-    def values(self) -> dict[str, Value]:
-        """What was set: parameters by their full keys, and samples."""
-        return dict(self.parameters) | ({"samples": self.samples} if self.samples is not None else {})
+        return base.replace(**self.techniques, aa=1, parameters=dict(self.parameters))
 
     @property
     def key(self) -> str:
         """Equal for cells that make the same picture."""
-        return json.dumps([dict(self.techniques), self.values], sort_keys=True)
+        return json.dumps([dict(self.techniques), dict(self.parameters)], sort_keys=True)
 
     def name(self, kind: str) -> str:
-        """The technique of one kind with what is set for it: "csm 512", "ray-glossy 4 spp"."""
+        """The technique of one kind with what is set for it: "csm resolution 512", "ray-glossy 4 spp"."""
         name = self.techniques[kind]
         words = [name]
         for key, value in self.parameters.items():
             if key.startswith(f"{kind}.{name}."):
                 parameter = key.rpartition(".")[2].replace("_", " ")
-                words.append(f"{parameter} {_shown(value)}")
-        if self.samples is not None and techniques.TECHNIQUES[kind][name].stochastic:
-            words.append(f"{self.samples} spp")
+                words.append(f"{_shown(value)} spp" if parameter == SAMPLES else f"{parameter} {_shown(value)}")
         return " ".join(words)
 
     @property
@@ -130,29 +118,22 @@ def axis(kind: str, *, quick: bool, only: Sequence[str] = ()) -> list[Cell]:
     cells: list[Cell] = []
     for technique in contestants(kind, only):
         chosen = defaults() | {kind: technique.name}
-        samples = samples_swept(technique, quick)
-        base = samples[-1] if quick else samples[len(samples) // 2]
-        # Another kind's default may be stochastic too: it then has what this axis' base has.
-        spent = base if any(techniques.TECHNIQUES[k][n].stochastic for k, n in chosen.items()) else None
-        cells.append(Cell(chosen, {}, spent, kind))
-        if technique.stochastic:
-            cells += [Cell(chosen, {}, n, kind) for n in samples if n != base]
+        cells.append(Cell(chosen))
         for parameter in technique.parameters:
-            cells += [Cell(chosen, {technique.key(parameter): value}, spent, kind) for value in swept(parameter, quick)]
+            values = swept(parameter, quick, technique.stochastic)
+            cells += [Cell(chosen, {technique.key(parameter): value}) for value in values]
     return unique(cells)
 
 
-def samples_swept(technique: Technique, quick: bool) -> tuple[int, ...]:
-    return QUICK_SAMPLES if quick else SAMPLES
-
-
-def swept(parameter: Parameter, quick: bool) -> list[Value]:
-    """Values beside the default: as declared, else octaves of a whole number, which is a count and so a cost."""
+def swept(parameter: Parameter, quick: bool, stochastic: bool = False) -> list[Value]:
+    """Values beside the default: as declared, else samples, else octaves of a whole number: a count, and so a cost."""
     if parameter.sweep is not None:
         values: list[Value] = [v for v in parameter.sweep if v != parameter.default]
         return values[:1] if quick else values
     if type(parameter.default) is not int:
         return []
+    if parameter.name == SAMPLES and stochastic:
+        return [n for n in (QUICK_SAMPLE_COUNTS if quick else SAMPLE_COUNTS) if n != parameter.default]
     low = 1 if parameter.low is None else parameter.low
     high = float("inf") if parameter.high is None else parameter.high
     found: list[Value] = []
@@ -169,14 +150,12 @@ def pairs(fronts: Mapping[str, Sequence[Cell]], limit: int | None = None) -> lis
     measured = {cell.key for cells in fronts.values() for cell in cells}
     found = []
     for chosen in product(*(fronts[kind] for kind in kinds)):
-        names, samples = defaults(), None
+        names = defaults()
         values: dict[str, Value] = {}
         for kind, cell in zip(kinds, chosen, strict=True):
             names[kind] = cell.techniques[kind]
             values |= {k: v for k, v in cell.parameters.items() if k.startswith(f"{kind}.")}
-            if techniques.TECHNIQUES[kind][names[kind]].stochastic and cell.samples is not None:
-                samples = max(samples or 1, cell.samples)
-        pair = Cell(names, values, samples, PAIRS)
+        pair = Cell(names, values)
         if pair.key not in measured:
             found.append(pair)
     found = unique(found)

@@ -42,7 +42,7 @@ def test_a_technique_that_is_registered_is_swept(monkeypatch: pytest.MonkeyPatch
     new = Technique(
         "reflections", "new", "", implemented=True, stochastic=True, traced=True,
         parameters=(
-            Parameter("steps", 64, "a count", 1, 100), Parameter("width", 0.5, "not a count"),
+            Parameter("samples", 4, "rays", 1, 1024), Parameter("steps", 64, "a count", 1, 100), Parameter("width", 0.5, "not a count"),
             Parameter("thick", 0.1, "declared", sweep=(0.1, 0.4)), Parameter("on", True, "a switch"),
             Parameter("still", 8, "a count that is no cost", sweep=()),
         ),
@@ -50,16 +50,18 @@ def test_a_technique_that_is_registered_is_swept(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setitem(techniques.REFLECTIONS, "new", new)
     cells = [c for c in sweep.axis("reflections", quick=False) if c.techniques["reflections"] == "new"]
     values = {k: v for c in cells for k, v in c.parameters.items()}
-    assert values.keys() == {"reflections.new.steps", "reflections.new.thick"}
+    assert values.keys() == {"reflections.new.steps", "reflections.new.thick", "reflections.new.samples"}
     assert [c.parameters["reflections.new.steps"] for c in cells if "reflections.new.steps" in c.parameters] == [
         16,
         32,
         100,
     ]
-    assert sorted(c.samples for c in cells if not c.parameters) == list(sweep.SAMPLES)
-    assert cells[0].traced and cells[0].stochastic and "new 4 spp" in cells[0].label
+    counts = [c.parameters["reflections.new.samples"] for c in cells if "reflections.new.samples" in c.parameters]
+    assert sorted([*counts, 4]) == list(sweep.SAMPLE_COUNTS)
+    assert cells[0].traced and cells[0].stochastic and cells[0].name("reflections") == "new"
+    assert {"new 1 spp", "new 64 spp"} <= {c.name("reflections") for c in cells}
     steps = next(c for c in cells if c.parameters.get("reflections.new.steps") == 16)
-    assert steps.name("reflections") == "new steps 16 4 spp" and steps.name("shadows") == "ray"
+    assert steps.name("reflections") == "new steps 16" and steps.name("shadows") == "ray"
 
 
 def test_only_some_techniques() -> None:
