@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from glhybrid.renderer import Renderer
     from glhybrid.scene import Camera, Environment, Instance, Light, Material, Mesh, Scene, Sphere, Triangles
     from glhybrid.settings import Settings
+    from glhybrid.stream import Shot
 
 _HOME = {
     "context": ("Context", "open_context"),
@@ -43,6 +44,7 @@ _HOME = {
     "renderer": ("Renderer",),
     "scene": ("Camera", "Environment", "Instance", "Light", "Material", "Mesh", "Scene", "Sphere", "Triangles"),
     "settings": ("Settings",),
+    "stream": ("Shot",),
 }  # fmt: skip
 _WHERE = {name: module for module, names in _HOME.items() for name in names}
 
@@ -66,6 +68,7 @@ __all__ = [
     "SettingError",
     "Settings",
     "ShaderError",
+    "Shot",
     "Sphere",
     "Triangles",
     "__version__",

@@ -32,6 +32,9 @@ GL_BUFFER, GL_SHADER, GL_PROGRAM, GL_QUERY, GL_TEXTURE = 0x82E0, 0x82E1, 0x82E2,
 GL_FRAMEBUFFER, GL_RENDERBUFFER, GL_VERTEX_ARRAY, GL_SAMPLER = 0x8D40, 0x8D41, 0x8074, 0x82E6
 GL_TIMESTAMP, GL_QUERY_RESULT, GL_QUERY_RESULT_AVAILABLE = 0x8E28, 0x8866, 0x8867
 GL_DEBUG_SOURCE_APPLICATION = 0x824A
+GL_COPY_READ_BUFFER, GL_STREAM_READ, GL_MAP_READ_BIT = 0x8F36, 0x88E1, 0x1
+GL_SYNC_GPU_COMMANDS_COMPLETE, GL_SYNC_FLUSH_COMMANDS_BIT = 0x9117, 0x1
+GL_TIMEOUT_EXPIRED, GL_WAIT_FAILED = 0x911B, 0x911D
 GL_VERTEX_ATTRIB_ARRAY_BARRIER_BIT, GL_ELEMENT_ARRAY_BARRIER_BIT, GL_UNIFORM_BARRIER_BIT = 0x1, 0x2, 0x4
 GL_TEXTURE_FETCH_BARRIER_BIT, GL_SHADER_IMAGE_ACCESS_BARRIER_BIT, GL_COMMAND_BARRIER_BIT = 0x8, 0x20, 0x40
 GL_TEXTURE_UPDATE_BARRIER_BIT, GL_BUFFER_UPDATE_BARRIER_BIT, GL_FRAMEBUFFER_BARRIER_BIT = 0x100, 0x200, 0x400
@@ -56,12 +59,17 @@ _UINTS, _INTS = POINTER(c_uint), POINTER(c_int)
 # name: (result, arguments), from the OpenGL 4.3 core specification.
 _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "glActiveTexture": (None, (_ENUM,)),
+    "glBindBuffer": (None, (_ENUM, _UINT)),
     "glBindTexture": (None, (_ENUM, _UINT)),
+    "glBufferData": (None, (_ENUM, _OFFSET, c_void_p, _ENUM)),
     "glClearBufferfv": (None, (_ENUM, _INT, POINTER(c_float))),
     "glClearBufferuiv": (None, (_ENUM, _INT, _UINTS)),
+    "glClientWaitSync": (_ENUM, (c_void_p, _BITS, c_uint64)),
     "glClipControl": (None, (_ENUM, _ENUM)),  # 4.5 or ARB_clip_control
     "glDeleteQueries": (None, (_SIZE, _UINTS)),
+    "glDeleteSync": (None, (c_void_p,)),
     "glDeleteTextures": (None, (_SIZE, _UINTS)),
+    "glFenceSync": (c_void_p, (_ENUM, _BITS)),
     "glFinish": (None, ()),
     "glFlush": (None, ()),
     "glGenQueries": (None, (_SIZE, _UINTS)),
@@ -76,6 +84,7 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "glGetString": (c_char_p, (_ENUM,)),
     "glGetStringi": (c_char_p, (_ENUM, _UINT)),
     "glIsTexture": (c_ubyte, (_UINT,)),
+    "glMapBufferRange": (c_void_p, (_ENUM, _OFFSET, _OFFSET, _BITS)),
     "glMemoryBarrier": (None, (_BITS,)),
     "glObjectLabel": (None, (_ENUM, _UINT, _SIZE, c_char_p)),
     "glPopDebugGroup": (None, ()),
@@ -87,6 +96,7 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "glTexBuffer": (None, (_ENUM, _ENUM, _UINT)),
     "glTexBufferRange": (None, (_ENUM, _ENUM, _UINT, _OFFSET, _OFFSET)),
     "glTexImage2D": (None, (_ENUM, _INT, _INT, _SIZE, _SIZE, _INT, _ENUM, _ENUM, c_void_p)),
+    "glUnmapBuffer": (c_ubyte, (_ENUM,)),
 }
 
 

@@ -31,6 +31,7 @@ class Mover:
         self._upload = upload
         self.motion = motion
         self.ms: dict[str, float] = {}
+        self._timed_now = True
         self.skin: Skin | None = None
         self.refit: Refit | None = None
         self._shown = [i for i, d in enumerate(motion.deformers) if upload.mesh_of_instance(d.instances[0]) >= 0]
@@ -39,12 +40,15 @@ class Mover:
             meshes = [self.skin.meshes[i] for i in self._shown]
             self.refit = Refit(context, shaders, upload, meshes, features, rebuild)
 
-    def show(self, time: float) -> Scene:
+    def show(self, time: float, timed: bool = True) -> Scene:
         """Everything where the clip has it at a time in seconds; what was there becomes the frame before.
 
+        timed: wait for each part, and note in `ms` how long it took.
         Returns the scene with the lights and cameras of that time.
         """
-        self.ms = {}
+        self._timed_now = timed
+        if timed:
+            self.ms = {}
         moment = self._timed("pose", lambda: self.motion.at(time))
         trees = {}
         if self.skin is not None and self.refit is not None:
@@ -65,6 +69,8 @@ class Mover:
                 part.release()
 
     def _timed(self, name: str, work: Callable[[], T]) -> T:
+        if not self._timed_now:
+            return work()
         self._finish()
         start = clock.perf_counter()
         result = work()

@@ -2,16 +2,16 @@
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Self
 
 import numpy as np
 
-from glhybrid import __version__, deform, geometry, motion, plan, pose
+from glhybrid import __version__, deform, geometry, motion, outputs, plan, pose, stream
 from glhybrid.context import Context, open_context
 from glhybrid.frame_constants import FrameConstants
 from glhybrid.gpu_scene import GpuScene
-from glhybrid.image import Frame, check_aovs
+from glhybrid.image import AOVS, Frame, check_aovs
 from glhybrid.mover import Mover
 from glhybrid.passes.aov import Aov
 from glhybrid.passes.composite import Composite
@@ -24,9 +24,11 @@ from glhybrid.passes.shadow_map import ShadowMap
 from glhybrid.passes.shadow_soft import ShadowSoft
 from glhybrid.passes.sky import Sky
 from glhybrid.passes.ssr import Ssr
+from glhybrid.readback import Reading, at_once
 from glhybrid.scene import Camera, Scene
 from glhybrid.settings import Settings
 from glhybrid.shaders import Shaders
+from glhybrid.stream import Shot
 from glhybrid.targets import Targets
 from glhybrid.timing import Timing
 from glhybrid.view import View, choose_camera, make_view
@@ -68,23 +70,61 @@ class Renderer:
         data AOVs are of the exact pixel centres. Raises SettingError, GeometryError or ShaderError.
         """
         started = time.perf_counter()
-        settings = settings or Settings()
-        names = check_aovs(aovs)
-        choose_camera(scene, camera)  # refuses an unknown one before any work is done
-        staged = self.stage(scene, settings, size, names)
-        view = staged.aim(settings, camera)
-        if staged.outgrown:
-            staged = self.stage(scene, settings, size, names)
-            view = staged.aim(settings, camera)
+        settings, names = settings or Settings(), check_aovs(aovs)
         timing = Timing(self.context.gl.finish)
-        radiance = staged.accumulate(timing, progress, started)
-        display = timing.run("display", lambda: staged.display.run(staged.targets, radiance))
-        width, height = size
-        rgb = np.frombuffer(display.read(), np.uint8).reshape(height, width, 4)[::-1, :, :3]
+        staged, view, radiance, display = self.draw(scene, camera, size, settings, names, timing, progress)
+        rgb = at_once(outputs.rgb(display))
         first_image_ms = (time.perf_counter() - started) * 1e3
-        arrays = {"radiance": _flip(radiance)[..., :3]} | {n: staged.aov(n, view) for n in names if n != "radiance"}
-        receipt = staged.receipt(view, timing, first_image_ms)
-        return Frame(np.ascontiguousarray(rgb), {n: np.ascontiguousarray(a) for n, a in arrays.items()}, receipt)
+        arrays = {n: at_once(staged.reading(n, view, radiance)) for n in dict.fromkeys(("radiance", *names))}
+        return Frame(rgb, arrays, staged.receipt(view, timing, first_image_ms))
+
+    def frames(
+        self,
+        scene: Scene,
+        shots: Iterable[Shot],
+        size: tuple[int, int] = (1280, 720),
+        settings: Settings | None = None,
+        aovs: tuple[str, ...] = (),
+        in_flight: int = 3,
+    ) -> Iterator[Frame]:
+        """Pictures of one scene, one for each Shot(time, camera), as fast as they can be drawn: data sets, films.
+
+        A picture comes out up to `in_flight` shots after it was drawn, so that reading it holds up nothing. Unlike
+        render(), `radiance` is only read where `aovs` has it, and passes are timed in the first two pictures only.
+        Rendering something else in between is allowed; motion vectors are then those since that.
+        """
+        return stream.frames(self, scene, shots, size, settings or Settings(), check_aovs(aovs), in_flight)
+
+    def arrays(
+        self,
+        scene: Scene,
+        shots: Iterable[Shot],
+        size: tuple[int, int] = (1280, 720),
+        settings: Settings | None = None,
+        in_flight: int = 3,
+    ) -> Iterator[np.ndarray]:
+        """The same as bare (H, W, 4) uint8 arrays, sRGB and opaque, row 0 at the top: the fastest way to pictures."""
+        return stream.arrays(self, scene, shots, size, settings or Settings(), in_flight)
+
+    def draw(
+        self,
+        scene: Scene,
+        camera: int | str | Camera | None,
+        size: tuple[int, int],
+        settings: Settings,
+        aovs: tuple[str, ...],
+        timing: Timing,
+        progress: Progress | None = None,
+    ) -> tuple["Staged", View, Any, Any]:
+        """One picture that stays on the GPU: the staging, the view, and the images of radiance and display."""
+        choose_camera(scene, camera)  # refuses an unknown one before any work is done
+        staged = self.stage(scene, settings, size, aovs)
+        view = staged.aim(settings, camera, timing.enabled)
+        if staged.outgrown:
+            staged = self.stage(scene, settings, size, aovs)
+            view = staged.aim(settings, camera, timing.enabled)
+        radiance = staged.accumulate(timing, progress)
+        return staged, view, radiance, timing.run("display", lambda: staged.display.run(staged.targets, radiance))
 
     def stage(self, scene: Scene, settings: Settings, size: tuple[int, int], aovs: tuple[str, ...] = ()) -> "Staged":
         """Everything a scene needs on the GPU under these settings; kept until one of them changes.
@@ -282,11 +322,11 @@ class Staged:
             return GBufferTrace(self.shaders, self.upload, self.features)
         return GBufferRaster(self.context, self.shaders, self.upload, self.features)
 
-    def aim(self, settings: Settings, camera: int | str | Camera | None) -> View:
-        """Everything to the time of the settings, and the view of a camera there."""
+    def aim(self, settings: Settings, camera: int | str | Camera | None, timed: bool = True) -> View:
+        """Everything to the time of the settings, and the view of a camera there. timed: wait for the parts of it."""
         scene = self.drawn
         if self.mover is not None:
-            scene = self.drawn = self.mover.show(settings.time or 0.0)
+            scene = self.drawn = self.mover.show(settings.time or 0.0, timed)
             self._relight()
             if not np.array_equal(self._flipped, self.upload.flipped):  # the raster's states say who is mirrored
                 self.gbuffer.release()
@@ -334,7 +374,7 @@ class Staged:
     def _set_lights(self, first: int, end: int) -> None:
         self.set(light_first=first, light_end=end)
 
-    def accumulate(self, timing: Timing, progress: Progress | None, started: float) -> Any:
+    def accumulate(self, timing: Timing, progress: Progress | None) -> Any:
         """All samples of one picture -> radiance. The centre of the pixel comes last if data was asked for."""
         radiance = None
         name = "samples" if self.reference is not None else "frames"
@@ -359,7 +399,13 @@ class Staged:
             yield i + 1, count, self.frame(timing)
 
     def aov(self, name: str, view: View) -> np.ndarray:
-        """One AOV at the pixel centres, (H, W, ...), row 0 at the top."""
+        """One AOV at the pixel centres, (H, W, ...), row 0 at the top; of the picture just drawn."""
+        return at_once(self.reading(name, view))
+
+    def reading(self, name: str, view: View, radiance: Any = None) -> Reading[np.ndarray]:
+        """The same as a reading. radiance: the picture's image, which that AOV is read from."""
+        if name == "radiance":
+            return outputs.texels(radiance, 0, 3)
         if self._ids is None:
             self.set(jitter_px=(0, 0), accumulate=0, number=0)
             self._ids = self.gbuffer.run(self.targets)
@@ -369,27 +415,17 @@ class Staged:
             self._reflection(lambda _, work: work(), self._ids, visibility)
         width, height = self.targets.size
         if name == "visibility":
-            return self._visibility(height, width)
+            if self.shadow is None:
+                return outputs.constant(np.ones((height, width, len(self.upload.lights)), np.float32))
+            return outputs.layers(self.targets.get(self.shadow.channel))
+        if name in ("reflection", "reflection_hit", "reason") and self.reflect is None:
+            shape = (height, width, 3) if name == "reflection" else (height, width)
+            return outputs.constant(np.zeros(shape, AOVS[name].dtype))
         if name in ("reflection", "reflection_hit"):
-            if self.reflect is None:
-                return np.zeros((height, width, 3) if name == "reflection" else (height, width), np.float32)
-            image = _flip(self.targets.get("reflection"))
-            return image[..., :3] if name == "reflection" else image[..., 3]
+            return outputs.texels(self.targets.get("reflection"), *((0, 3) if name == "reflection" else (3, 1)))
         if name == "reason":
-            if self.reflect is None:
-                return np.zeros((height, width), np.uint8)
-            return np.frombuffer(self.targets.get("reason").read(), np.uint8).reshape(height, width)[::-1]
+            return outputs.texels(self.targets.get("reason"), 0, 1)
         return self._aov.run(self.targets, self._ids, name, view.origin)
-
-    def _visibility(self, height: int, width: int) -> np.ndarray:
-        count = len(self.upload.lights)
-        if self.shadow is None:
-            return np.ones((height, width, count), np.float32)
-        image = self.targets.get(self.shadow.channel)
-        kind: Any = np.float16 if image.dtype == "f2" else np.uint8
-        layers = np.frombuffer(image.read(), kind).reshape(count, height, width, -1)[:, ::-1]
-        values = layers[..., :3].astype(np.float32).mean(-1) / (255 if kind is np.uint8 else 1)
-        return np.moveaxis(values, 0, -1).astype(np.float32)
 
     def receipt(self, view: View, timing: Timing, first_image_ms: float) -> dict[str, Any]:
         """What was drawn, how, on what, and how long it took."""
@@ -410,7 +446,7 @@ class Staged:
             },
             "device": self.context.device.to_dict(),
             "settings": self.settings.to_dict() | {
-                "size": list(view.size), "camera": view.camera.name, "exposure_ev": self.display.exposure_ev(),
+                "size": list(view.size), "camera": view.camera.name, "exposure_ev": at_once(self.display.exposure_ev()),
             },
             "plan": {
                 "passes": list(self.plan.passes), "programs": self.shaders.names, "primary": self.plan.primary,
@@ -468,12 +504,4 @@ def differs_in_numbers(a: Scene, b: Scene) -> bool:
         or (p.kind, p.node, p.radius > 0, p.angular_diameter > 0)
         == (q.kind, q.node, q.radius > 0, q.angular_diameter > 0)
         for p, q in zip(a.lights, b.lights, strict=True)
-    )
-
-
-def _flip(image: Any) -> np.ndarray:
-    """A float image as (H, W, C) float32 with row 0 at the top."""
-    kind = np.float32 if image.dtype == "f4" else np.float16
-    return (
-        np.frombuffer(image.read(), kind).reshape(image.height, image.width, image.components)[::-1].astype(np.float32)
     )

@@ -29,6 +29,7 @@ from glhybrid.image import MOVIE_SUFFIXES, Frame, check_folder, check_output
 from glhybrid.resume import fingerprint, fingerprint_of, remove_leftovers, scene_digest
 from glhybrid.scene import Animation, Camera, Scene
 from glhybrid.settings import Settings
+from glhybrid.stream import Shot
 from glhybrid.view import choose_camera
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("glhybrid")
 MOST_FRAMES = 1_000_000
+IN_FLIGHT = 2  # frames drawn but not read back yet
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,16 +264,21 @@ class _Job:
         return receipt, len(todo), len(numbers) - len(todo)
 
     def _draw(self, numbers: list[int]) -> Iterator[Frame]:
-        sequence, renderer, drawn = self.sequence, self.renderer, None
+        sequence = self.sequence
+        return self.renderer.frames(
+            sequence.scene, self._shots(numbers), self.size, sequence.settings, self.layers, in_flight=IN_FLIGHT
+        )
+
+    def _shots(self, numbers: list[int]) -> Iterator[Shot]:
+        """Each is asked for when the one before has been drawn."""
+        sequence, drawn = self.sequence, None
         for done, number in enumerate(numbers):
             self.progress(f"frame {number}", done, len(numbers))
             before = number - sequence.numbers.step
             if "motion" in self.layers and drawn != before:
-                staged = renderer.stage(sequence.scene, sequence.settings_at(before), self.size, self.layers)
-                staged.aim(sequence.settings_at(before), sequence.camera_at(before))
-            yield renderer.render(
-                sequence.scene, sequence.camera_at(number), self.size, sequence.settings_at(number), self.layers
-            )
+                then = sequence.settings_at(before)
+                self.renderer.stage(sequence.scene, then, self.size, self.layers).aim(then, sequence.camera_at(before))
+            yield Shot(sequence.settings_at(number).time, sequence.camera_at(number))
             drawn = number
 
     def _fingerprints(self) -> dict[int, str]:

@@ -9,6 +9,7 @@ from glhybrid.gpu_scene import GpuScene
 from glhybrid.image import AOVS
 from glhybrid.layout import CONSTANTS
 from glhybrid.needs import Features
+from glhybrid.readback import Reading
 from glhybrid.scene import F64
 from glhybrid.shaders import Shaders
 from glhybrid.targets import Targets
@@ -20,21 +21,21 @@ class Aov:
     def __init__(self, shaders: Shaders, scene: GpuScene, features: Features) -> None:
         self._shaders, self._scene, self._features = shaders, scene, features
 
-    def run(self, targets: Targets, ids: Any, name: str, origin: F64) -> np.ndarray:
-        """(H, W, ...) array as image.AOVS describes it, row 0 at the top. Reads back."""
+    def run(self, targets: Targets, ids: Any, name: str, origin: F64) -> Reading[np.ndarray]:
+        """(H, W, ...) array as image.AOVS describes it, row 0 at the top."""
         steps = name == "bvh_steps"
         features = self._features.replace(aov=CONSTANTS[f"AOV_{name.upper()}"], step_counter=steps)
         target = targets.get("aov")
         program = self._shaders.compute("aov", features)
         program.dispatch({**self._scene.resources, "gbuffer_id": ids, "out_aov": target}, targets.size)
         width, height = targets.size
-        bits = np.frombuffer(target.read(), np.uint32).reshape(height, width, 4)[::-1]
+        bits = np.frombuffer((yield target), np.uint32).reshape(height, width, 4)[::-1]
         row = AOVS[name]
         if row.dtype == "uint32":
-            return np.ascontiguousarray(_scene_ids(bits[..., 0], name, self._scene.geometry))
+            return np.array(_scene_ids(bits[..., 0], name, self._scene.geometry), order="C")
         values = bits.view(np.float32)
         count = len(row.channels)
-        result = np.ascontiguousarray(values[..., 0] if count == 1 else values[..., :count])
+        result = np.array(values[..., 0] if count == 1 else values[..., :count], order="C")
         if name == "position":
             hit = np.isfinite(result).all(-1) & (bits[..., :3] != 0).any(-1)
             result[hit] += origin.astype(np.float32)

@@ -7,6 +7,7 @@ import numpy as np
 
 from glhybrid.context import Context
 from glhybrid.needs import Features
+from glhybrid.readback import Reading
 from glhybrid.shaders import Shaders
 from glhybrid.targets import Targets
 
@@ -27,9 +28,10 @@ class Display:
         self._program.dispatch(resources, targets.size)
         return display
 
-    def exposure_ev(self) -> float:
-        """EV that the last frame was shown at. Reads back four bytes: not for the middle of a frame."""
-        return float(np.frombuffer(self._exposure.read(4), np.float32)[0])
+    def exposure_ev(self) -> Reading[float]:
+        """EV that the last frame was shown at."""
+        data = yield self._exposure
+        return float(np.frombuffer(data, np.float32)[0])
 
     def release(self) -> None:
         self._exposure.release()
