@@ -446,7 +446,7 @@ class Staged:
             },
             "device": self.context.device.to_dict(),
             "settings": self.settings.to_dict() | {
-                "size": list(view.size), "camera": view.camera.name, "exposure_ev": at_once(self.display.exposure_ev()),
+                "size": list(view.size), "camera": view.camera.name, "exposure_ev": self.display.exposure_ev(),
             },
             "plan": {
                 "passes": list(self.plan.passes), "programs": self.shaders.names, "primary": self.plan.primary,

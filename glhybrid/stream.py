@@ -67,7 +67,7 @@ def frames(
             first | {"settings": first["settings"] | said, "scene": first["scene"] | {"warnings": warnings}}
         )
         names = [drawn.staged.reading(name, drawn.view, drawn.radiance) for name in aovs]
-        return [outputs.rgb(drawn.display), drawn.staged.display.exposure_ev(), *names]
+        return [outputs.rgb(drawn.display), drawn.staged.display.exposure(), *names]
 
     for rgb, exposure, *arrays in _stream(renderer, scene, shots, size, settings, aovs, in_flight, TIMED, readings):
         receipt = receipts.popleft()

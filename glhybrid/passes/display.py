@@ -7,7 +7,7 @@ import numpy as np
 
 from glhybrid.context import Context
 from glhybrid.needs import Features
-from glhybrid.readback import Reading
+from glhybrid.readback import Reading, at_once
 from glhybrid.shaders import Shaders
 from glhybrid.targets import Targets
 
@@ -28,8 +28,12 @@ class Display:
         self._program.dispatch(resources, targets.size)
         return display
 
-    def exposure_ev(self) -> Reading[float]:
-        """EV that the last frame was shown at."""
+    def exposure_ev(self) -> float:
+        """EV that the last frame was shown at. Waits for it."""
+        return at_once(self.exposure())
+
+    def exposure(self) -> Reading[float]:
+        """The same as a reading."""
         data = yield self._exposure
         return float(np.frombuffer(data, np.float32)[0])
 
