@@ -197,18 +197,19 @@ def plan(scene: SceneName, /, *, common: Common = Common()) -> int:
         loaded = common.load(scene)
         _say_warnings(loaded.warnings)
         from glhybrid.plan import MEASURE_AOVS, MEASURE_SIZE, describe, measured
-
-        result = describe(loaded, settings, size)
         from glhybrid.renderer import Renderer
 
         try:
             with Renderer(device=common.device) as renderer:
+                software = renderer.context.device.software
+                result = describe(loaded, settings, size, software=software, tuning=renderer.tuning)
                 few = settings.replace(aa=2, samples=min(settings.samples, 4))
                 frame = renderer.render(
                     loaded, common.camera_key(), MEASURE_SIZE, few, aovs=MEASURE_AOVS, progress=progress
                 )
             result["measured"] = measured(frame)
         except DeviceError as error:
+            result = describe(loaded, settings, size)
             result["measured"] = f"not measured: {str(error).splitlines()[0]}"
     if common.json:
         _print_json(result)

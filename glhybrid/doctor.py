@@ -11,7 +11,7 @@ import platform
 import signal
 import subprocess
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from glhybrid import __version__, host
@@ -38,6 +38,7 @@ class Probe:
     ok: bool
     device: dict[str, Any]
     limits: dict[str, Any]
+    tuning: dict[str, Any] = field(default_factory=dict)  # what glhybrid.tuning has measured
     error: str = ""
     fix: str = ""
 
@@ -111,13 +112,17 @@ def _probes(facts: Host) -> list[Probe]:
 
 def _probe(name: str) -> Probe:
     found = _run(name)
-    return _failed(name, found) if "error" in found else Probe(name, True, found["device"], found["limits"])
+    return (
+        _failed(name, found)
+        if "error" in found
+        else Probe(name, True, found["device"], found["limits"], found.get("tuning", {}))
+    )
 
 
 def _failed(name: str, found: dict[str, Any]) -> Probe:
     known = host.problems()
     fix = found.get("fix") or (known[0].fix if known else "update this device's driver, or use another --device")
-    return Probe(name, False, {}, {}, str(found["error"]), str(fix))
+    return Probe(name, False, {}, {}, error=str(found["error"]), fix=str(fix))
 
 
 def _run(argument: str) -> dict[str, Any]:
@@ -142,7 +147,7 @@ def _run(argument: str) -> dict[str, Any]:
 
 def _answer(argument: str) -> dict[str, Any]:
     """What a probe process prints. Imports OpenGL, so it runs there only."""
-    from glhybrid import context, egl
+    from glhybrid import context, egl, tuning
 
     try:
         if argument == "--list":
@@ -152,7 +157,8 @@ def _answer(argument: str) -> dict[str, Any]:
     except GlhybridError as error:
         return {"error": str(error)}
     with opened:
-        return {"device": opened.device.to_dict(), "limits": opened.limits.to_dict()}
+        found = {"device": opened.device.to_dict(), "limits": opened.limits.to_dict()}
+        return found | {"tuning": tuning.tuned(opened).to_dict()}
 
 
 def _library(name: str, use: str, fix: str) -> Library:
@@ -220,6 +226,16 @@ def _show_devices(report: Report) -> None:
         print()
         names = list(working[0].limits)
         table(("limit", *(p.name for p in working)), [(n, *(p.limits[n] for p in working)) for n in names])
+        print()
+        names = list(working[0].tuning)
+        table(("tuning", *(p.name for p in working)), [(n, *(_brief(p.tuning[n]) for p in working)) for n in names])
+
+
+def _brief(value: object) -> object:
+    """Numbers to three digits, also those in a dictionary."""
+    if isinstance(value, dict):
+        return ", ".join(f"{key}: {_brief(item)}" for key, item in value.items())
+    return f"{value:.3g}" if isinstance(value, float) else value
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from glhybrid.motion import Motion, wanted
 from glhybrid.needs import Features
 from glhybrid.scene import Scene
 from glhybrid.settings import Settings
+from glhybrid.tuning import Tuning, rule
 
 if TYPE_CHECKING:
     from glhybrid.image import Frame
@@ -34,27 +35,28 @@ def make(
     software: bool = True,
     clip_control: bool = True,
     motion: Motion | None = None,
+    tuning: Tuning | None = None,
+    size: tuple[int, int] = (1280, 720),
 ) -> Plan:
-    """The plan on a device. software: a CPU rasteriser, where loops run to their end instead of in bounded turns.
+    """The plan on a device. software: a CPU rasteriser; tuning: what the device is good at, default the rule of thumb.
 
-    motion: what moves; scene is then its start.
+    motion: what moves; scene is then its start. size: pixels, which the choice between raster and rays depends on.
     """
+    tuning = tuning or rule(software)
     found = needs.find(scene, settings)
     levels, why = 2, "what moves does not rebuild the rest"
     if motion is None:
         levels, why = choose_levels(scene, settings.levels)
     reference = settings.reflections == "reference"
-    primary = settings.primary if settings.primary != "auto" else ("raster" if software else "trace")
     reasons = [f"{levels} level{'s' if levels > 1 else ''} of trees: {why}"]
-    if settings.primary == "auto":
-        reasons.append(
-            "primary visibility is rasterised: a CPU rasterises faster than it traces" if software
-            else "primary visibility is traced: compute reaches a GPU's memory faster than its raster units"
-        )  # fmt: skip
+    primary: str = settings.primary
+    if primary == "auto":
+        primary, why = tuning.primary(size[0] * size[1], scene.triangle_count())
+        reasons.append(why)
     features = found.features.replace(
         two_level=levels == 2,
         clip_control=clip_control,
-        bvh_inner_steps=1 << 20 if software else 3,
+        bvh_inner_steps=tuning.inner_steps,
         buffer_array=software,
     )
     skipped = list(found.skipped)
@@ -88,11 +90,17 @@ def deforming_reason(shapes: int, rebuild: float) -> str:
     return f"{what}: refitted every frame{limit}"
 
 
-def describe(scene: Scene, settings: Settings, size: tuple[int, int] = (1280, 720)) -> dict[str, Any]:
-    """The plan as the command line prints it, without a device: passes, reasons, what is skipped, features in use."""
+def describe(
+    scene: Scene,
+    settings: Settings,
+    size: tuple[int, int] = (1280, 720),
+    software: bool = True,
+    tuning: Tuning | None = None,
+) -> dict[str, Any]:
+    """The plan as the command line prints it: passes, reasons, what is skipped, features in use. Needs no device."""
     motion = wanted(scene, settings)
     scene = motion.start if motion is not None else at_time(scene, settings.time, settings.clip)
-    plan = make(scene, settings, motion=motion)
+    plan = make(scene, settings, software=software, motion=motion, tuning=tuning, size=size)
     on = [name for name, value in plan.features.defines().items() if name.startswith("USE_") and value]
     return {
         "scene": scene.name,
@@ -106,6 +114,7 @@ def describe(scene: Scene, settings: Settings, size: tuple[int, int] = (1280, 72
         "reasons": list(plan.reasons),
         "features": [name.removeprefix("USE_").lower() for name in on],
         "skipped": list(plan.skipped),
+        **({"device rates": tuning.to_dict()} if tuning is not None else {}),
     }
 
 

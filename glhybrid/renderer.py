@@ -3,6 +3,7 @@
 import dataclasses
 import time
 from collections.abc import Callable, Iterable, Iterator
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -31,6 +32,7 @@ from glhybrid.shaders import Shaders
 from glhybrid.stream import Shot
 from glhybrid.targets import Targets
 from glhybrid.timing import Timing
+from glhybrid.tuning import Tuning, tuned
 from glhybrid.view import View, choose_camera, make_view
 
 Progress = Callable[[str, int, int], None]
@@ -141,9 +143,14 @@ class Renderer:
         shared = next((s for s in reversed(self._stagings) if s.shares_upload(scene, settings)), None)
         self._drop(self._most - 1, shared.upload if shared else None)
         kept = (shared.upload, shared.mover) if shared else None
-        staged = Staged(self.context, self.shaders, scene, settings, size, aovs, kept)
+        staged = Staged(self.context, self.shaders, scene, settings, size, aovs, kept, self.tuning)
         self._stagings.append(staged)
         return staged
+
+    @cached_property
+    def tuning(self) -> Tuning:
+        """What this device is good at: measured at the first use of a device, kept on disk."""
+        return tuned(self.context)
 
     @property
     def _staged(self) -> "Staged | None":
@@ -192,6 +199,7 @@ class Staged:
         size: tuple[int, int],
         aovs: tuple[str, ...],
         kept: tuple[GpuScene, Mover | None] | None = None,
+        tuning: Tuning | None = None,
     ) -> None:
         self.context, self.shaders, self.scene, self.settings, self.aovs = context, shaders, scene, settings, aovs
         self.mover: Mover | None
@@ -199,8 +207,9 @@ class Staged:
         moving = self.mover.motion if self.mover is not None else motion.wanted(scene, settings)
         self.drawn = scene = moving.start if moving is not None else deform.at_time(scene, settings.time, settings.clip)
         self.plan = plan.make(
-            scene, settings, software=context.device.software, clip_control=context.limits.clip_control, motion=moving
-        )
+            scene, settings, software=context.device.software, clip_control=context.limits.clip_control, motion=moving,
+            tuning=tuning, size=size,
+        )  # fmt: skip
         features = self.plan.features
         if upload is None:
             data = geometry.build(

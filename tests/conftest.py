@@ -19,6 +19,7 @@ MODELS = ROOT.parent / "shared" / "models"
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    os.environ.setdefault("GLHYBRID_TUNING", "off")  # no test's picture may hang on how fast the machine is today
     config.addinivalue_line("markers", "gpu: needs an OpenGL 4.3 context (all of tests/gpu and tests/image)")
     config.addinivalue_line("markers", "slow: takes more than a few seconds on two cores")
     if "s" not in config.option.reportchars:
