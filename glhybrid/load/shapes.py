@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from glhybrid.errors import unknown
-from glhybrid.load import architecture
+from glhybrid.load import architecture, hostile
 from glhybrid.load.patch import around, fan, join, lathe, patch, quad, tube
 from glhybrid.load.require import ShapeError, counts, positive
 from glhybrid.scene import F64, Sphere, Triangles
@@ -245,6 +245,7 @@ SHAPES: dict[str, Callable[..., Triangles | Sphere]] = {
     for f in (
         box, plane, sphere, ellipsoid, cylinder, torus, knot, revolve, grid,
         architecture.column, architecture.arch, architecture.cloth, architecture.facade,
+        hostile.blades, hostile.debris,
     )
 }  # fmt: skip
 

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from glhybrid import reference
 from glhybrid.errors import SettingError, unknown
 from glhybrid.scene import F64
+from glhybrid.study.oracle import I64, Oracle
 from glhybrid.study.subject import Picture, Subject, grey
-from glhybrid.study.truth import Truth
 
 EPSILON = 1e-3  # m: the offset that many renderers have as a constant
 
@@ -20,7 +21,7 @@ class FixedEpsilon(Subject):
 
     def visibility(self, camera: int = 0, light: int = 0) -> tuple[F64, Picture]:
         scene, lamp = self.case.scene, self.case.scene.lights[light]
-        rounded = Truth(scene, precision=np.float32)
+        rounded = Oracle(scene, precision=np.float32)
         seen = self.case.seen(camera)
         shape = seen.covered.shape
         f32: Any = np.float32
@@ -39,7 +40,72 @@ class FixedEpsilon(Subject):
         return out, grey(out * lambert * lamp.intensity / np.pi + 0.02 * found.reshape(shape))
 
 
-CONTROLS: dict[str, type[Subject]] = {"fixed-epsilon": FixedEpsilon}
+class NaiveSlabs(Subject):
+    """Boxes are tested by dividing by the direction: 0 over 0, and every comparison with it, is a miss."""
+
+    def hits(self, camera: int = 0) -> tuple[I64, F64, Picture]:
+        seen = self.case.seen(camera)
+        shape = seen.covered.shape
+        origin, direction = seen.origin.reshape(-1, 3), seen.direction.reshape(-1, 3)
+        instance, t = seen.hit.instance.copy().reshape(-1), seen.hit.t.copy().reshape(-1)
+        for number, box in enumerate(self.case.scene.instance_bounds):
+            rows = np.flatnonzero(instance == number)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                planes = (box[:, None] - origin[rows]) / direction[rows]
+                near, far = planes.min(0).max(1), planes.max(0).min(1)  # NumPy's: NaN wins
+            lost = rows[~(near <= far)]
+            instance[lost], t[lost] = -1, np.inf
+        return instance.reshape(shape), t.reshape(shape), grey(0.2 + 0.6 * (instance >= 0).reshape(shape))
+
+
+class ShortStack(Subject):
+    """A tree that halves space, walked with a stack of 32 entries: what no longer fits is left out, without a word."""
+
+    ENTRIES = 32
+
+    def hits(self, camera: int = 0) -> tuple[I64, F64, Picture]:
+        seen, oracle = self.case.seen(camera), self.case.oracle
+        shape = seen.covered.shape
+        origin, direction = seen.origin.reshape(-1, 3), seen.direction.reshape(-1, 3)
+        corners, found = oracle.triangles, np.full(len(origin), np.inf)
+        # (rows of triangles, rays, entries on their stacks); the nearer half first, as seen from the first ray
+        todo = [(np.arange(len(corners)), np.arange(len(origin)), np.zeros(len(origin), np.int64))]
+        while todo:
+            rows, rays, depth = todo.pop()
+            if not len(rays):
+                continue
+            if len(rows) == 1:
+                hit = reference.closest_hit(corners[rows], origin[rays], direction[rays])
+                found[rays] = np.minimum(found[rays], hit.t)
+                continue
+            centre = corners[rows].mean(1)
+            axis = int(np.ptp(centre, axis=0).argmax())
+            side = centre[:, axis] > (centre[:, axis].min() + centre[:, axis].max()) / 2
+            halves = [rows[~side], rows[side]]
+            halves.sort(key=lambda half: float(np.linalg.norm(corners[half].mean((0, 1)) - origin[0])))
+            near, far = (_enters(corners[half], origin[rays], direction[rays]) for half in halves)
+            both = near & far
+            kept = far & (~both | (depth < self.ENTRIES))
+            todo.append((halves[1], rays[kept], depth[kept]))
+            todo.append((halves[0], rays[near], depth[near] + both[near]))
+        instance = np.where(np.isfinite(found), 0, -1).reshape(shape)
+        return instance, found.reshape(shape), grey(0.2 + 0.6 * (instance >= 0))
+
+
+def _enters(corners: F64, origin: F64, direction: F64) -> Any:
+    """(R,) whether rays meet the box around some triangles."""
+    low, high = corners.min((0, 1)), corners.max((0, 1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        first, last = (low - origin) / direction, (high - origin) / direction
+    near, far = np.fmin(first, last).max(1), np.fmax(first, last).min(1)
+    return (near <= far) & (far >= 0)
+
+
+CONTROLS: dict[str, type[Subject]] = {
+    "fixed-epsilon": FixedEpsilon,
+    "naive-slabs": NaiveSlabs,
+    "short-stack": ShortStack,
+}
 
 
 def find(name: str) -> type[Subject]:

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from glhybrid.errors import SettingError, unknown
-from glhybrid.scene import Camera, Study
+from glhybrid.scene import F64, Camera, Study
 from glhybrid.study import metrics
-from glhybrid.study.subject import Measured, Subject, marked
+from glhybrid.study.subject import Case, Measured, Subject, marked
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def find(study: Study, where: str) -> Quantity:
 def wrong_shadow(subject: Subject, where: str = "all") -> Measured:
     """Pixels that face the light and are on the wrong side of one half, all, or outside or inside the true border."""
     case = subject.case
-    want, counted = case.visibility(), case.truth.facing(case.seen(), case.scene.lights[0])
+    want, counted = case.visibility(), case.oracle.facing(case.seen(), case.scene.lights[0])
     got, picture = subject.visibility()
     wrong = metrics.wrong_shadow_percent(got, want, counted)
     return Measured(getattr(wrong, where), marked(picture, counted & (np.abs(got - want) > 0.5)))
@@ -71,7 +71,7 @@ def wrong_shadow(subject: Subject, where: str = "all") -> Measured:
 def false_light(subject: Subject) -> Measured:
     """Pixels in true shadow that are lit, of those in true shadow that face the light."""
     case = subject.case
-    counted = case.truth.facing(case.seen(), case.scene.lights[0]) & (case.visibility() == 0)
+    counted = case.oracle.facing(case.seen(), case.scene.lights[0]) & (case.visibility() == 0)
     got, picture = subject.visibility()
     lit = counted & (got > 0.5)
     return Measured(100 * float(lit.sum()) / max(int(counted.sum()), 1), marked(picture, lit))
@@ -81,7 +81,7 @@ def false_light(subject: Subject) -> Measured:
 def visibility_error(subject: Subject) -> Measured:
     """Mean distance of visibility from the truth, over pixels that face the light."""
     case = subject.case
-    want, counted = case.visibility(), case.truth.facing(case.seen(), case.scene.lights[0])
+    want, counted = case.visibility(), case.oracle.facing(case.seen(), case.scene.lights[0])
     got, picture = subject.visibility()
     return Measured(metrics.visibility_mae(got, want, counted), marked(picture, counted & (np.abs(got - want) > 0.1)))
 
@@ -93,7 +93,7 @@ def light_gap(subject: Subject, contact: list[float]) -> Measured:
     seen, light = case.seen(), case.scene.lights[0]
     way = np.array([light.direction[0], 0, light.direction[2]])
     along = (seen.position - contact) @ (way / np.linalg.norm(way))
-    ground = case.truth.facing(seen, light) & (np.abs(seen.position[..., 1] - contact[1]) < 1e-6) & (along > 0)
+    ground = case.oracle.facing(seen, light) & (np.abs(seen.position[..., 1] - contact[1]) < 1e-6) & (along > 0)
     dark = ground & (case.visibility() == 0)
     got, picture = subject.visibility()
     lit = dark & (got > 0.5)
@@ -143,7 +143,7 @@ def border_step(subject: Subject, band: int = 16) -> Measured:
     Of a border that crosses every row once. A row's softness is 6 sum V (1 - V), the width of a ramp from 0 to 1.
     """
     case = subject.case
-    counted = case.truth.facing(case.seen(), case.scene.lights[0])
+    counted = case.oracle.facing(case.seen(), case.scene.lights[0])
     got, picture = subject.visibility()
     soft = 6 * np.where(counted, got * (1 - got), 0).sum(1)
     rows = np.flatnonzero((np.abs(np.diff(np.where(counted, case.visibility(), np.nan), axis=1)) == 1).sum(1) == 1)
@@ -195,7 +195,84 @@ def flips(subject: Subject, what: str = "visibility", frames: int = 9, step: flo
     return Measured(100 * changed / max(counted, 1), marked(picture, marks))
 
 
+# Mirrors ---------------------------------------------------------------------------------------------------------
+
+
+@quantity("%")
+def wrong_reflection(subject: Subject, of: str = "", mirrors: str = "", bounces: int = 8) -> Measured:
+    """Mirror pixels that do not show the colour of what their ray meets, but for a border of one pixel in the image.
+
+    For scenes of perfect mirrors, unlit colours and a constant sky. of: only where the truth is an object of that name,
+    or "sky"; mirrors: only pixels on an object of that name. bounces: mirrors
+    after the first that the truth follows; pixels that would need more do not count.
+    """
+    case = subject.case
+    want, met, counted = case.once(("mirrored", bounces), lambda: _mirrored(case, bounces))
+    names = np.array([*(i.name for i in case.scene.instances), "sky"])
+    if mirrors:
+        counted = counted & (names[case.seen().hit.instance] == mirrors)
+    border = metrics.edge_band(np.stack([met, case.seen().hit.instance], -1))
+    counted = counted & ~border
+    if of:
+        counted = counted & (names[met] == of)
+    frame = subject.frame()
+    scale = max(float(want[counted].max(initial=0)), 1e-6)
+    wrong = counted & ~(np.abs(frame["radiance"] - want) <= 0.1 * scale).all(-1)
+    return Measured(100 * float(wrong.sum()) / max(int(counted.sum()), 1), marked(frame.rgb, wrong))
+
+
+def _mirrored(case: Case, bounces: int) -> tuple[F64, Any, Any]:
+    """What mirrors show, (H, W, 3), the instance met, (H, W), -1 for the sky, and which pixels these are.
+
+    Pixels that see one mirror after another for more than `bounces` are not among them.
+    """
+    scene, seen = case.scene, case.seen()
+    materials = scene.materials
+    mirror = np.array([m.metallic == 1 and m.roughness < 0.02 and not m.unlit for m in materials] + [False])
+    assert all(m.unlit or known for m, known in zip(materials, mirror, strict=False)), "mirrors and unlit colours only"
+    assert scene.environment is None or scene.environment.constant
+    sky = scene.environment.radiance[0, 0] * scene.environment.intensity if scene.environment else np.zeros(3)
+    color = np.array([[x + y for x, y in zip(m.base_color, (*m.emissive, 0), strict=False)][:3] for m in materials])
+    color = np.concatenate([color, sky[None]])
+    on = seen.covered & mirror[seen.hit.material]
+    start, way, normal = seen.position[on], seen.direction[on], seen.hit.normal[on]
+    material, through = seen.hit.material[on], np.ones((int(on.sum()), 3))
+    shown, met = np.zeros_like(through), np.full(len(through), -1)
+    live = np.arange(len(through))
+    for _ in range(bounces + 1):
+        cosine = np.abs((way * normal).sum(1, keepdims=True))
+        through[live] *= color[material] + (1 - color[material]) * (1 - cosine) ** 5  # Schlick, F0 = colour of a metal
+        way = way - 2 * (way * normal).sum(1, keepdims=True) * normal
+        hit = case.oracle.closest(start + case.oracle.offset * normal, way)
+        met[live] = hit.instance
+        again = mirror[hit.material]
+        shown[live[~again]] = color[hit.material[~again]]
+        live, material, normal = live[again], hit.material[again], hit.normal[again]
+        start, way = start[again] + hit.t[again, None] * way[again], way[again]
+    image, instance = np.zeros((*on.shape, 3)), np.full(on.shape, -1)
+    image[on], instance[on] = through * shown, met
+    on[tuple(place[live] for place in np.nonzero(on))] = False
+    return image, instance, on
+
+
 # The scene itself ------------------------------------------------------------------------------------------------
+
+
+@quantity("%")
+def wrong_hit(subject: Subject, border: bool = True) -> Measured:
+    """Pixels whose first surface is another, or 1e-4 of the distance off. border: outlines by a pixel do not count."""
+    seen = subject.case.seen()
+    instance, distance, picture = subject.hits()
+    with np.errstate(invalid="ignore"):
+        off = np.abs(distance - seen.hit.t) > 1e-4 * seen.hit.t
+    wrong = (instance != seen.hit.instance) | (seen.covered & (instance >= 0) & off)
+    counted = seen.covered | (instance >= 0)
+    if border:
+        flat = np.isfinite(seen.hit.t)
+        with np.errstate(divide="ignore"):
+            steps = np.where(flat, np.floor(np.log2(np.where(flat, seen.hit.t, 1)) * 8), 1e6)
+        counted &= ~metrics.edge_band(steps)
+    return Measured(100 * float((wrong & counted).sum()) / max(int(counted.sum()), 1), marked(picture, wrong & counted))
 
 
 @quantity("%")

@@ -1,6 +1,6 @@
 """One technique on one scene of the failure library: what a measure (quantities.py) may ask of it.
 
-A `Case` is shared by all techniques of a scene, and keeps what they are held against: the float64 answers of truth.py
+A `Case` is shared by all techniques of a scene, and keeps what they are held against: the float64 answers of oracle.py
 and converged pictures of the path tracer.
 """
 
@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from glhybrid.image import Frame
+from glhybrid.image import NO_ID, Frame
 from glhybrid.renderer import Renderer
 from glhybrid.scene import F64, Camera, Scene, Study
 from glhybrid.settings import Settings
-from glhybrid.study.truth import Seen, Truth
+from glhybrid.study.oracle import I64, Oracle, Seen
 
 Picture = NDArray[np.uint8]
 WRONG = np.array([255, 0, 90], np.uint8)  # pixels that a measure counts, in pictures
@@ -46,21 +46,21 @@ class Case:
         return self._known[key]
 
     @cached_property
-    def truth(self) -> Truth:
-        return Truth(self.scene)
+    def oracle(self) -> Oracle:
+        return Oracle(self.scene)
 
     def seen(self, camera: int = 0) -> Seen:
-        return self.once(("seen", camera), lambda: self.truth.seen(self.scene.cameras[camera], self.study.size))
+        return self.once(("seen", camera), lambda: self.oracle.seen(self.scene.cameras[camera], self.study.size))
 
     def visibility(self, camera: int = 0, light: int = 0) -> F64:
         """(H, W), 0 or 1: the truth about a light without size."""
         return self.once(
-            ("visibility", camera, light), lambda: self.truth.visibility(self.seen(camera), self.scene.lights[light])
+            ("visibility", camera, light), lambda: self.oracle.visibility(self.seen(camera), self.scene.lights[light])
         )
 
     def forget(self) -> None:
         self._known.clear()
-        self.__dict__.pop("truth", None)
+        self.__dict__.pop("oracle", None)
 
 
 @dataclass(eq=False)
@@ -80,6 +80,12 @@ class Subject:
         """(H, W) of one light, and the picture."""
         frame = self.frame("visibility", camera=camera)
         return frame["visibility"][..., light].astype(np.float64), frame.rgb
+
+    def hits(self, camera: int = 0) -> tuple[I64, F64, Picture]:
+        """(H, W) instances, -1 for none, and distances of the first surfaces, and the picture."""
+        frame = self.frame("instance_id", "distance", camera=camera)
+        ids = frame["instance_id"].astype(np.int64)
+        return np.where(ids == NO_ID, -1, ids), frame["distance"].astype(np.float64), frame.rgb
 
     def reference(self, camera: int = 0, samples: int = 256, **changes: Any) -> NDArray[np.float32]:
         """(H, W, 3) radiance of the path tracer, made once a case. Without jitter, as pictures here."""

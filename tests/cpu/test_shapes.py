@@ -114,6 +114,25 @@ def test_sizes() -> None:
                 assert np.ptp(made.position[:, axis]) == pytest.approx(length, rel=1e-4), (name, axis)
 
 
+def test_blades_are_a_fan_from_the_origin() -> None:
+    """Each `ratio` times the one before, as large as seen from the origin, and none over another's middle."""
+    p = make("blades").position.reshape(-1, 3, 3).astype(np.float64)
+    assert len(p) == 240 and np.allclose(p[1:, :, 1] / p[:-1, :, 1], 1.224) and 1e-11 < p[0, 0, 1] < 1e-10
+    rim = p[:, 1:].mean(1) / p[:, :1, 1]
+    turn = np.sort(np.arctan2(rim[:, 2], rim[:, 0]))
+    assert np.diff(turn).min() > 0.01 and np.diff(turn).max() < 0.06
+    assert np.isfinite(make("blades").normal).all()
+
+
+def test_debris_is_nothing_that_can_be_seen() -> None:
+    from glhybrid.geometry import solid
+
+    made = make("debris", number=400, size=2.0)
+    corners = made.position.reshape(-1, 3, 3)
+    assert np.isnan(corners).any((1, 2)).sum() == 100 and np.isinf(corners).any((1, 2)).sum() == 100
+    assert not solid(made.position, made.index).any() and np.isfinite(made.normal).all()
+
+
 def test_grid_heights() -> None:
     waves = make("grid", height="waves", amplitude=0.25)
     assert 0.2 < np.abs(waves.position[:, 1]).max() <= 0.2501
@@ -144,6 +163,9 @@ def test_grid_heights() -> None:
         ("arch", {"opening": (2.0, 0.5)}, "its height must be between"),
         ("column", {"height": 1.0}, "at least 6 times the radius"),
         ("facade", {"frame": 2.0}, "less than half a window"),
+        ("blades", {"ratio": 1.0}, "must be greater than 1"),
+        ("blades", {"number": 400, "ratio": 2.0}, "would span 1e-60 to 1e60 m; at most 1e11"),
+        ("debris", {"size": 0.0}, "must be greater than 0"),
         ("revolve", {"profile": [[1, 2, 3]]}, "pairs [radius, y]"),
         ("revolve", {"profile": [[1, 2], "x"]}, "pairs [radius, y]"),
         ("revolve", {"profile": [[-1, 2], [1, 0]]}, "must not be negative"),

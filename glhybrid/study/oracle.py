@@ -42,7 +42,7 @@ class Seen:
         return np.isfinite(self.hit.t)
 
 
-class Truth:
+class Oracle:
     """The surfaces of a scene at rest, both sides solid, in world space."""
 
     def __init__(self, scene: Scene, precision: type = np.float64) -> None:
