@@ -255,6 +255,62 @@ def _mirrored(case: Case, bounces: int) -> tuple[F64, Any, Any]:
     return image, instance, on
 
 
+# Glossy surfaces -------------------------------------------------------------------------------------------------
+
+
+def _rough(subject: Subject) -> Any:
+    """(H, W) pixels of rough metal, the surfaces that these measures are about."""
+    case = subject.case
+    rough = np.array([m.metallic == 1 and not m.unlit for m in case.scene.materials] + [False])
+    return case.seen().covered & rough[case.seen().hit.material]
+
+
+@quantity("%")
+def bias(subject: Subject, samples: int = 64) -> Measured:
+    """How much brighter rough metal is than in the path tracer's picture, as a mean over its pixels."""
+    on, want = _rough(subject), subject.reference(samples=samples).mean(-1)
+    frame = subject.frame()
+    got = frame["radiance"].mean(-1)
+    wrong = on & (np.abs(got - want) > 0.1 * want)
+    return Measured(100 * float(got[on].mean() / want[on].mean() - 1), marked(frame.rgb, wrong))
+
+
+@quantity("of the mean")
+def error(subject: Subject, samples: int = 1024) -> Measured:
+    """Root mean square difference of rough metal from the path tracer's picture, over its mean there."""
+    on, want = _rough(subject), subject.reference(samples=samples)
+    frame = subject.frame()
+    rms = float(np.sqrt(np.square(frame["radiance"] - want)[on].mean()))
+    return Measured(rms / float(want[on].mean()), frame.rgb)
+
+
+@quantity("times the true width")
+def edge_width(subject: Subject, rows: list[int], band: int = 8, samples: int = 64) -> Measured:
+    """How wide an upright edge in the picture's middle is mirrored by rough metal, over how wide it truly is.
+
+    In bands of rows that begin at `rows`; the value is the one that is most wrong. A width is 6 sum V (1 - V) over the
+    mean profile of a band, that of a ramp from 0 to 1.
+    """
+    want, frame = subject.reference(samples=samples).mean(-1), subject.frame()
+    got, on = frame["radiance"].mean(-1), _rough(subject)
+    ratios = []
+    for row in rows:
+        assert on[row : row + band].all(), f"rows {row} to {row + band} are not all of rough metal"
+        true, width = (_ramp(image[row : row + band].mean(0)) for image in (want, got))
+        ratios.append(width / true)
+    return Measured(max(ratios, key=lambda r: abs(np.log(max(r, 1e-6)))), frame.rgb)
+
+
+def _ramp(profile: Any) -> float:
+    """The width of a step in a line of values, pixels; its ends, a twelfth each, are low and high."""
+    end = max(len(profile) // 12, 1)
+    low, high = profile[:end].mean(), profile[-end:].mean()
+    if abs(high - low) < 0.02 * abs(high + low):
+        return 0.0  # no step at all
+    v = np.clip((profile - low) / (high - low), 0, 1)
+    return float(6 * (v * (1 - v)).sum())
+
+
 # The scene itself ------------------------------------------------------------------------------------------------
 
 
