@@ -40,6 +40,9 @@ class Features:
     reflections: bool = False  # a pass for what the mirror direction shows runs
     mirror_rays: bool = False  # and traces, as do blended layers
     march: bool = False  # and looks into the G-buffer first
+    glossy: bool = False  # or gathers rays over specular lobes
+    glossy_coat: bool = False  # of the clearcoat, in passes/glossy.comp
+    denoise: bool = False  # a filter follows
     emitters: bool = False  # reference: some triangles shine
     terminator: bool = False
     reason: bool = False
@@ -149,6 +152,7 @@ def find(scene: Scene, settings: Settings) -> Needs:
         reflections=reflections,
         mirror_rays=reflections and reflecting.traced,
         march=reflections and reflecting.mirror_pass == "ssr",
+        glossy=reflections and reflecting.mirror_pass == "glossy",
         emitters=reference and any(max(m.emissive) > 0 for m in materials),
         terminator=visibility and settings.terminator and not shadow_maps,
     )  # fmt: skip

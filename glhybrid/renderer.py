@@ -18,6 +18,7 @@ from glhybrid.passes.aov import Aov
 from glhybrid.passes.composite import Composite
 from glhybrid.passes.display import Display
 from glhybrid.passes.gbuffer import GBufferRaster, GBufferTrace
+from glhybrid.passes.glossy import Glossy
 from glhybrid.passes.reference import Reference
 from glhybrid.passes.reflect import Reflect
 from glhybrid.passes.shadow import Shadow
@@ -232,6 +233,7 @@ class Staged:
             reflections=features.reflections and not empty,
             mirror_rays=features.mirror_rays and not empty,
             march=features.march and not empty,
+            glossy=features.glossy and not empty,
             visibility=features.visibility and not empty,
             shadow_maps=features.shadow_maps and not empty,
             shadow_rays=features.shadow_rays and not empty,
@@ -253,9 +255,11 @@ class Staged:
             upload.resources.update(self.shadow.resources)
         elif features.visibility:
             self.shadow = Shadow(shaders, upload, features)
-        self.reflect: Reflect | Ssr | None = None
+        self.reflect: Reflect | Ssr | Glossy | None = None
         if features.march:
             self.reflect = Ssr(shaders, upload, features, settings)
+        elif features.glossy:
+            self.reflect = Glossy(shaders, upload, features, settings)
         elif features.reflections:
             self.reflect = Reflect(shaders, upload, features)
         reference = settings.reflections == "reference" and not empty  # without a tree there is only the background
@@ -369,16 +373,16 @@ class Staged:
         ids = run("gbuffer", lambda: self.gbuffer.run(targets))
         if self.shadow is not None:
             visibility = run(self.shadow.name, lambda: self.shadow.run(targets, ids, self._set_lights))  # type: ignore[union-attr]
-        reflection = self._reflection(run, ids, visibility)
-        return run("composite", lambda: self.composite.run(targets, ids, visibility, reflection))  # type: ignore[union-attr]
+        reflections = self._reflections(run, ids, visibility)
+        return run("composite", lambda: self.composite.run(targets, ids, visibility, reflections))  # type: ignore[union-attr]
 
-    def _reflection(self, run: Callable[[str, Callable[[], Any]], Any], ids: Any, visibility: Any) -> Any:
-        """What the mirror direction shows, by the technique in use."""
+    def _reflections(self, run: Callable[[str, Callable[[], Any]], Any], ids: Any, visibility: Any) -> dict[str, Any]:
+        """What specular lobes show, by the technique in use: images by their channel."""
         reflect, targets = self.reflect, self.targets
         if isinstance(reflect, Ssr):
             screen = run(reflect.screen.name, lambda: reflect.screen.run(targets, ids))
-            return run(reflect.name, lambda: reflect.run(targets, ids, visibility, screen))
-        return run(reflect.name, lambda: reflect.run(targets, ids)) if reflect is not None else None
+            return {"reflection": run(reflect.name, lambda: reflect.run(targets, ids, visibility, screen))}
+        return run(reflect.name, lambda: reflect.run(targets, ids)) if reflect is not None else {}
 
     def _set_lights(self, first: int, end: int) -> None:
         self.set(light_first=first, light_end=end)
@@ -421,7 +425,7 @@ class Staged:
             visibility = None
             if self.shadow is not None:
                 visibility = self.shadow.run(self.targets, self._ids, self._set_lights)
-            self._reflection(lambda _, work: work(), self._ids, visibility)
+            self._reflections(lambda _, work: work(), self._ids, visibility)
         width, height = self.targets.size
         if name == "visibility":
             if self.shadow is None:

@@ -182,7 +182,19 @@ _ALL = (
         mirror_pass="ssr",
         parameters=(_CUTOFF, _STEPS),
     ),
-    Technique("reflections", "ray-glossy", "GGX-sampled rays, denoised", stochastic=True, traced=True),
+    Technique(
+        "reflections",
+        "ray-glossy",
+        "rays over the whole specular lobe, their hits lit with their own shadow rays",
+        implemented=True,
+        stochastic=True,
+        traced=True,
+        mirror_pass="glossy",
+        parameters=(
+            Parameter("samples", 4, "rays a pixel from a roughness of 0.25 on; a mirror takes one", 1, 4096),
+            _CUTOFF,
+        ),
+    ),
     Technique(
         "reflections",
         "reference",

@@ -1,5 +1,6 @@
 """Light, visibility, sky and reflection -> linear radiance."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from glhybrid.gpu_scene import GpuScene
@@ -15,12 +16,11 @@ class Composite:
         self._program = shaders.compute("composite", features)
         self._scene = scene
 
-    def run(self, targets: Targets, ids: Any, visibility: Any, reflection: Any) -> Any:
+    def run(self, targets: Targets, ids: Any, visibility: Any, reflections: Mapping[str, Any]) -> Any:
+        """reflections: images by channel, one a lobe if these are apart."""
         radiance = targets.get("radiance")
-        resources = {**self._scene.resources, "gbuffer_id": ids, "radiance": radiance}
+        resources = {**self._scene.resources, **reflections, "gbuffer_id": ids, "radiance": radiance}
         if visibility is not None:
             resources["visibility"] = visibility
-        if reflection is not None:
-            resources["reflection"] = reflection
         self._program.dispatch(resources, targets.size)
         return radiance

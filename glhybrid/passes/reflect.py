@@ -16,10 +16,10 @@ class Reflect:
         self._scene = scene
         self._reason = features.reason
 
-    def run(self, targets: Targets, ids: Any) -> Any:
+    def run(self, targets: Targets, ids: Any) -> dict[str, Any]:
         reflection = targets.get("reflection")
         resources = {**self._scene.resources, "gbuffer_id": ids, "out_reflection": reflection}
         if self._reason:
             resources["out_reason"] = targets.get("reason")
         self._program.dispatch(resources, targets.size)
-        return reflection
+        return {"reflection": reflection}

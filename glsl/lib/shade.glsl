@@ -90,15 +90,20 @@ vec3 mirror_direction(Surface s, vec3 v, out bool bent) {
     return r;
 }
 
-// Emission, sky on the diffuse lobe, and what the specular lobe shows. `traced` is the radiance along the mirror
+// Sky on the diffuse lobe, nothing in the way.
+vec3 diffuse_sky(Surface s) {
+#if USE_ENVIRONMENT
+    return s.bsdf.base_color * (1.0 - s.bsdf.metallic) * (1.0 - s.bsdf.transmission) * environment_irradiance(s.bsdf.n) * s.occlusion;
+#else
+    return vec3(0.0);
+#endif
+}
+
+// Sky on the diffuse lobe, and what the specular lobe shows. `traced` is the radiance along the mirror
 // direction; give the prefiltered sky there for a surface that spends no ray.
 vec3 indirect_light(Surface s, vec3 v, vec3 mirror_dir, vec3 traced, bool has_traced) {
-    vec3 result = vec3(0.0);
     Bsdf b = s.bsdf;
-#if USE_ENVIRONMENT
-    vec3 c_diff = b.base_color * (1.0 - b.metallic) * (1.0 - b.transmission);
-    result += c_diff * environment_irradiance(b.n) * s.occlusion;
-#endif
+    vec3 result = diffuse_sky(s);
 #if USE_SPECULAR_SKY || USE_REFLECTIONS
     vec3 specular = vec3(0.0);
     vec3 sky = SPECULAR_SKY ? environment_prefiltered(mirror_dir, b.roughness) : vec3(0.0);

@@ -2,6 +2,9 @@
 // front: linear radiance of a pixel.
 #include "lib/gbuffer.glsl"
 #include "lib/shade.glsl"
+#if USE_GLOSSY
+#include "lib/glossy.glsl"
+#endif
 #include "lib/tile.glsl"
 
 layout(rgba32f) uniform image2D radiance;                  // coverage in a
@@ -10,6 +13,9 @@ uniform sampler2DArray visibility;
 #endif
 #if USE_REFLECTIONS
 uniform sampler2D reflection;
+#endif
+#if USE_GLOSSY && USE_CLEARCOAT
+uniform sampler2D reflection_coat;
 #endif
 
 vec3 surface_radiance(Pixel p, Surface s, ivec2 px) {
@@ -27,7 +33,13 @@ vec3 surface_radiance(Pixel p, Surface s, ivec2 px) {
     }
     bool bent;
     vec3 r = mirror_direction(s, v, bent);
-#if USE_REFLECTIONS
+#if USE_GLOSSY
+    vec3 coat = vec3(0.0);
+#if USE_CLEARCOAT
+    coat = texelFetch(reflection_coat, px, 0).rgb;
+#endif
+    return sum + glossy_light(s, v, texelFetch(reflection, px, 0).rgb, coat);
+#elif USE_REFLECTIONS
     bool has_traced = sends_mirror_ray(s);
     return sum + indirect_light(s, v, r, texelFetch(reflection, px, 0).rgb, has_traced);
 #else
