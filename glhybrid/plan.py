@@ -23,6 +23,7 @@ class Plan:
     features: Features
     levels: int
     primary: str  # raster or trace
+    split: bool  # reflections in three programs
     passes: tuple[str, ...]
     reasons: tuple[str, ...]
     skipped: tuple[str, ...]
@@ -59,6 +60,10 @@ def make(
         bvh_inner_steps=tuning.inner_steps,
         buffer_array=software,
     )
+    split = features.reflections and not features.blended and settings.kernels != "fused"
+    split = split and (settings.kernels == "split" or not software)
+    if split:
+        reasons.append("reflections run as three programs: a GPU keeps more rays in flight beside less shading code")
     skipped = list(found.skipped)
     passes = ["gbuffer"]
     if motion is not None and motion.deformers:
@@ -72,7 +77,7 @@ def make(
         shadow = "shadow_map" if features.shadow_maps else "shadow_soft" if features.light_discs else "shadow"
         passes += [shadow] * features.visibility + _mirror_passes(features, settings) + ["composite"]
     passes.append("display")
-    return Plan(features, levels, primary, tuple(passes), tuple(reasons), tuple(skipped))
+    return Plan(features, levels, primary, split, tuple(passes), tuple(reasons), tuple(skipped))
 
 
 def _mirror_passes(features: Features, settings: Settings) -> list[str]:

@@ -261,7 +261,7 @@ class Staged:
         elif features.glossy:
             self.reflect = Glossy(shaders, upload, features, settings)
         elif features.reflections:
-            self.reflect = Reflect(shaders, upload, features)
+            self.reflect = Reflect(shaders, upload, features, self.plan.split)
         reference = settings.reflections == "reference" and not empty  # without a tree there is only the background
         self.reference = Reference(context, shaders, upload, features) if reference else None
         self.composite = Composite(shaders, upload, features) if not reference else None

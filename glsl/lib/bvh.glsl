@@ -115,21 +115,23 @@ vec3 transmittance_at(HitGroup group, Hit hit, Ray ray, bool front, uint see) {
         if (SINGLE_SIDED && group.single_sided == 1u && !front) return vec3(1.0);
         if (BLENDED && blended != (see == SEE_BLENDED)) return vec3(1.0);
     }
-    if (!ALPHA_TEST && !BLENDED) return vec3(0.0);
     vec3 result = vec3(0.0);
+#if USE_ALPHA_TEST || USE_BLENDED
     if (group.any_hit == ANY_HIT_MASK || (see == SEE_BLOCKERS && group.any_hit == ANY_HIT_TINT)) {
-        Material m = materials[group.material];
-        Instance inst = instances[hit.instance];
-        uvec4 tri = texelFetch(triangles, int(hit.triangle));
         bool sphere = SPHERES && group.kind == KIND_SPHERE;
-        if (sphere) hit.bary = sphere_point(tri, ray, hit.t, inst).uv;
-        vec4 color = base_color_at(m, hit);
-        if (group.any_hit == ANY_HIT_MASK) result = vec3(color.a < m.alpha_cutoff ? 1.0 : 0.0);
+        if (sphere) hit.bary = sphere_point(texelFetch(triangles, int(hit.triangle)), ray, hit.t, instances[hit.instance]).uv;
+        vec4 color = base_color_at(group.material, hit);
+        if (group.any_hit == ANY_HIT_MASK) result = vec3(color.a < materials[group.material].alpha_cutoff ? 1.0 : 0.0);
+#if USE_BLENDED
         else {
+            Instance inst = instances[hit.instance];
+            uvec4 tri = texelFetch(triangles, int(hit.triangle));
             Point p = sphere ? sphere_point(tri, ray, hit.t, inst) : triangle_point(tri, hit.bary, inst);
-            result = tint_at(m, color, hit, abs(dot(p.n_geo, normalize(ray.dir))));
+            result = tint_at(materials[group.material], color, hit, abs(dot(p.n_geo, normalize(ray.dir))));
         }
+#endif
     }
+#endif
     return result;
 }
 
@@ -224,8 +226,10 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
         if (!pending) return;
         pending = false;
         HitGroup group = hit_group_of(candidate.instance, candidate.geometry);
-        for (bool again = true; again; ) {
+#if USE_SPHERES
+        for (bool again = true; again; ) {                                       // a loop only here: H100s pay a third for one
             again = false;
+#endif
             vec3 through = transmittance_at(group, candidate, ray, front, see);
             tint *= through;
             if (!closest && max3(through) < 1.0) hit = candidate;
@@ -240,8 +244,8 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
                 again = intersect_sphere(local.origin - vertex_position(tri.x), local.dir, sphere_radius(tri), next_after(candidate.t),
                                          t_max, candidate.t, front);
             }
-#endif
         }
+#endif
     }
 }
 

@@ -122,18 +122,25 @@ vec3 indirect_light(Surface s, vec3 v, vec3 mirror_dir, vec3 traced, bool has_tr
     return result;
 }
 
-// Radiance of a hit seen by a reflection ray: no second reflection, the sky stands in (Kim, section 5).
-vec3 shade_hit(Hit hit, Ray ray, float footprint) {
-    vec3 v = -ray.dir;
 #if USE_SHADOW_BITS
-    // The shadow rays go first, with nothing but the point alive; the surface is looked up when their answers are bits.
+// Which lights reach the point of a hit: a bit each. These rays go before the surface is looked up, with nothing but the
+// point alive.
+uint lit_bits(Hit hit, Ray ray) {
     uint lit = 0u;
     Point p = point_at(hit, ray);
     for (uint i = 0u; i < frame.light_count; i++) {
         LightSample l = light_at(lights[i], p.position);
         if (arrives(l) && dot(p.n_geo, l.dir) > 0.0) lit |= visibility_of(p, l, i).x > 0.0 ? 1u << i : 0u;
     }
+    return lit;
+}
+#else
+uint lit_bits(Hit hit, Ray ray) { return 0u; }                             // direct_light finds out by itself
 #endif
+
+// Radiance of a hit seen by a reflection ray: no second reflection, the sky stands in (Kim, section 5). lit: lit_bits.
+vec3 shade_hit(Hit hit, Ray ray, float footprint, uint lit) {
+    vec3 v = -ray.dir;
     Surface s = surface_at(hit, ray, footprint);
     if (s.unlit) return s.emissive;
     vec3 sum = s.emissive;
@@ -149,6 +156,8 @@ vec3 shade_hit(Hit hit, Ray ray, float footprint) {
     vec3 r = mirror_direction(s, v, bent);
     return sum + indirect_light(s, v, r, vec3(0.0), false);
 }
+
+vec3 shade_hit(Hit hit, Ray ray, float footprint) { return shade_hit(hit, ray, footprint, lit_bits(hit, ray)); }
 
 // How much of a blended surface is seen, and what is behind it is multiplied by.
 vec3 layer_transmittance(Surface s, vec3 v) { return 1.0 - s.alpha * (1.0 - transmitted(s.bsdf, v)); }

@@ -92,11 +92,13 @@ Attributes attributes_at(Hit hit) {
 const float FINEST_LEVEL = -1e9;
 
 // Base colour and alpha at the finest level: what alpha tests use in raster and rays alike, so that both cut the same holes.
-vec4 base_color_at(Material m, Hit hit) {
+// By row, not by value: a copy of the whole material costs traversal its registers.
+vec4 base_color_at(uint material, Hit hit) {
     Attributes a = attributes_at(hit);
-    vec4 color = m.base_color * a.color;
+    vec4 color = materials[material].base_color * a.color;
 #if USE_TEXTURES
-    if (m.texture[SLOT_BASE_COLOR] >= 0) color *= sample_texture(m.texture[SLOT_BASE_COLOR], a.uv0, a.uv1, FINEST_LEVEL, true);
+    int image = materials[material].texture[SLOT_BASE_COLOR];
+    if (image >= 0) color *= sample_texture(image, a.uv0, a.uv1, FINEST_LEVEL, true);
 #endif
     return color;
 }
@@ -107,7 +109,7 @@ Hit hit_uncut(Ray ray, uint instance, uint triangle, out bool met, out bool fron
 #if USE_SPHERES && USE_ALPHA_TEST
     HitGroup group = hit_group_of(instance, hit.geometry);
     if (group.kind == KIND_SPHERE && group.any_hit == ANY_HIT_MASK && met && front) {
-        if (base_color_at(materials[group.material], hit).a < materials[group.material].alpha_cutoff) {
+        if (base_color_at(group.material, hit).a < materials[group.material].alpha_cutoff) {
             ray.t_min = next_after(hit.t);
             hit = hit_known(ray, instance, triangle, met, front);
         }

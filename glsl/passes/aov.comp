@@ -79,11 +79,11 @@ uvec4 value_of(Pixel p) {
     if (USE_AOV == AOV_INSTANCE_ID) return uvec4(record.instance_id != ID_NONE ? record.instance_id : instances[p.hit.instance].id);
     if (USE_AOV == AOV_MATERIAL_ID) return uvec4(s.material);
     if (USE_AOV == AOV_TRIANGLE_ID) return uvec4(p.hit.triangle);
-    // AOV_MOTION: to where the point was a frame ago, pixels, y down.
-    precise vec4 now = frame.clip_from_world * vec4(s.point.position, 1.0);
-    precise vec4 before = frame.previous_clip_from_world * vec4(previous_position(p, s), 1.0);
-    precise vec2 at = now.xy / now.w, was = before.xy / before.w;          // no fma across: what stands still is 0
-    vec2 moved = (was - at) * 0.5 * vec2(frame.size_px);
+    // AOV_MOTION: to where the point was a frame ago, pixels, y down. What stands still is 0, however drivers round.
+    vec3 from = previous_position(p, s);
+    if (from == s.point.position && frame.previous_clip_from_world == frame.clip_from_world) return uvec4(0u);
+    vec4 now = frame.clip_from_world * vec4(s.point.position, 1.0), before = frame.previous_clip_from_world * vec4(from, 1.0);
+    vec2 moved = (before.xy / before.w - now.xy / now.w) * 0.5 * vec2(frame.size_px);
     return bits(vec3(moved.x, -moved.y, 0.0));
 #endif
 }

@@ -18,12 +18,22 @@ void main() {
         for (uint i = frame.light_first; i < frame.light_end; i++) imageStore(out_visibility, ivec3(px, i), vec4(0.0));
         return;
     }
+#if USE_TERMINATOR
     Surface s = load_surface(p);
     Point from = shadow_point(p, s);
+#else
+    // The facet decides, without a look at textures: where only the shading normal faces away, the BRDF is 0.
+    Point from = point_at(p.hit, p.ray);
+    bool unlit = materials[hit_group_of(p.hit.instance, p.hit.geometry).material].unlit == 1u;
+#endif
     for (uint i = frame.light_first; i < frame.light_end; i++) {
-        LightSample l = light_at(lights[i], s.point.position);
+        LightSample l = light_at(lights[i], from.position);
         vec3 visibility = vec3(0.0);
+#if USE_TERMINATOR
         if (arrives(l) && faces(s, l.dir)) visibility = any_hit(Ray(shadow_origin(from, l.dir), 0.0, l.dir, l.distance));
+#else
+        if (arrives(l) && dot(from.n_geo, l.dir) > 0.0 && !unlit) visibility = visibility_of(from, l);
+#endif
         imageStore(out_visibility, ivec3(px, i), vec4(visibility, 1.0));
     }
 }

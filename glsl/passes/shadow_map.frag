@@ -34,7 +34,7 @@ void main() {
 #if USE_ALPHA_TEST
     HitGroup group = hit_group_of(instance, hit.geometry);
     Material m = materials[group.material];
-    if (group.any_hit == ANY_HIT_MASK && base_color_at(m, hit).a < m.alpha_cutoff) discard;
+    if (group.any_hit == ANY_HIT_MASK && base_color_at(group.material, hit).a < m.alpha_cutoff) discard;
 #endif
 }
 #else

@@ -1,0 +1,33 @@
+// passes/reflect_ray.comp -- `reflect` in three programs, 1: the mirror ray of each pixel, and what it meets.
+#include "lib/mirror.glsl"
+#include "lib/shade.glsl"
+#include "lib/tile.glsl"
+
+#if USE_REASON
+layout(r8ui) writeonly uniform uimage2D out_reason;
+#endif
+
+void main() {
+    ivec2 px = tile_pixel();
+    if (any(greaterThanEqual(px, frame.size_px))) return;                  // groups overhang the edge
+    Pixel p = load_pixel(px);
+    Hit hit = MISS;
+    hit.t = 0.0;
+    vec3 r = vec3(0.0);
+    uint reason = REASON_NONE;
+    if (covered(p)) {
+        Surface s = load_surface(p);
+        bool bent;
+        r = mirror_direction(s, -p.ray.dir, bent);
+        bool smooth_enough = sends_mirror_ray(s);
+        reason = smooth_enough ? (bent ? REASON_BELOW : REASON_NONE) : REASON_ROUGH;
+        if (smooth_enough) {
+            hit = closest_hit(Ray(ray_origin(s.point, r), 0.0, r, INFINITY));
+            if (hit.triangle == ID_NONE && !bent) reason = REASON_ENVIRONMENT;
+        }
+    }
+    store_mirror(px, r, hit);
+#if USE_REASON
+    imageStore(out_reason, px, uvec4(reason));
+#endif
+}
