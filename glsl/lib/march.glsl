@@ -47,10 +47,8 @@ bool meets(Ray ray, ivec2 px, out Hit hit) {
         met = intersect_triangle(local, v0, vertex_position(tri.y), vertex_position(tri.z), ray.t_min, ray.t_max, hit.t, hit.bary, front);
     }
     if (SINGLE_SIDED && group.single_sided == 1u && !front) met = false;
-    if (ALPHA_TEST && met && group.any_hit == ANY_HIT_MASK) {
-        Material material = materials[group.material];
-        met = base_color_at(material, hit).a >= material.alpha_cutoff;
-    }
+    if (ALPHA_TEST && met && group.any_hit == ANY_HIT_MASK)
+        met = base_color_at(group.material, hit).a >= materials[group.material].alpha_cutoff;
     return met;
 }
 

@@ -32,7 +32,7 @@ void main() {
 #if USE_TERMINATOR
         if (arrives(l) && faces(s, l.dir)) visibility = any_hit(Ray(shadow_origin(from, l.dir), 0.0, l.dir, l.distance));
 #else
-        if (arrives(l) && dot(from.n_geo, l.dir) > 0.0 && !unlit) visibility = visibility_of(from, l);
+        if (arrives(l) && dot(from.n_geo, l.dir) > 0.0 && !unlit) visibility = any_hit(Ray(ray_origin(from, l.dir), 0.0, l.dir, l.distance));
 #endif
         imageStore(out_visibility, ivec3(px, i), vec4(visibility, 1.0));
     }

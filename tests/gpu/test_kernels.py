@@ -11,6 +11,7 @@ from glhybrid.scene import Camera, Instance, Light, Material, Mesh, Scene, Spher
 
 AOVS = ("reflection", "reflection_hit", "reason")
 SIZE = (96, 54)
+SMALL = {"shadows.pcf.resolution": 256}
 
 
 def spheres(lights: int) -> Scene:
@@ -48,7 +49,7 @@ def test_three_programs_are_one(context: Context, scene: Any, levels: Any, shado
     found = {}
     for kernels in ("fused", "split"):
         with Renderer(context=context) as renderer:
-            settings = Settings(aa=1, kernels=kernels, levels=levels, shadows=shadows)
+            settings = Settings(aa=1, kernels=kernels, levels=levels, shadows=shadows, parameters=SMALL)
             found[kernels] = renderer.render(drawn, size=SIZE, settings=settings, aovs=AOVS)
             programs = {p.split()[0] for p in found[kernels].receipt["plan"]["programs"]}
             assert ("reflect" in programs) == (kernels == "fused")
