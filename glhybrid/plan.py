@@ -60,7 +60,8 @@ def make(
         bvh_inner_steps=tuning.inner_steps,
         buffer_array=software,
     )
-    split = features.reflections and not features.blended and settings.kernels != "fused"
+    split = settings.reflections == "ray-lerp" and features.reflections and not features.blended
+    split = split and settings.kernels != "fused"
     split = split and (settings.kernels == "split" or not software)
     if split:
         reasons.append("reflections run as three programs: a GPU keeps more rays in flight beside less shading code")
