@@ -82,6 +82,8 @@ class Motion:
         instances = zip(start.instances, self._still, strict=True)
         self.start = start.replace(instances=tuple(replace(p, world_from_object=m) for p, m in instances))
         self._boxes = [_JointBoxes(scene, d) for d in self.deformers]
+        lit = any(light.node in moving for light in scene.lights)
+        self.still = not (rows or self._skinned or self.deformers or lit)  # but for cameras
 
     @property
     def deforming(self) -> frozenset[int]:

@@ -37,6 +37,7 @@ class Features:
     visibility: bool = False  # a shadow pass runs
     shadow_maps: bool = False  # and looks up depth maps, as do hits and layers
     map_filter: int = 0  # how (layout FILTER_*)
+    lightmap: bool = False  # or baked light maps
     reflections: bool = False  # a pass for what the mirror direction shows runs
     mirror_rays: bool = False  # and traces, as do blended layers
     march: bool = False  # and looks into the G-buffer first
@@ -122,6 +123,7 @@ def find(scene: Scene, settings: Settings) -> Needs:
     technique = techniques.SHADOWS[settings.shadows]
     visibility = lit and settings.shadows != "none" and not reference
     shadow_maps = visibility and technique.depth_maps
+    lightmap = visibility and technique.light_maps
     light_discs = (
         lit and (reference or settings.shadows == "ray-soft") and any(light.has_size for light in scene.lights)
     )
@@ -143,7 +145,7 @@ def find(scene: Scene, settings: Settings) -> Needs:
         blurred_sky=environment and not reference,
         specular_sky=environment and settings.reflections not in ("none", "reference"),
         shadow_rays=lit and settings.shadows != "none",
-        shadow_bits=lit and settings.shadows != "none" and not (shadow_maps or light_discs or blended)
+        shadow_bits=lit and settings.shadows != "none" and not (shadow_maps or lightmap or light_discs or blended)
         and len(scene.lights) <= 32,
         light_discs=light_discs,
         visibility=visibility,
@@ -154,7 +156,8 @@ def find(scene: Scene, settings: Settings) -> Needs:
         march=reflections and reflecting.mirror_pass == "ssr",
         glossy=reflections and reflecting.mirror_pass == "glossy",
         emitters=reference and any(max(m.emissive) > 0 for m in materials),
-        terminator=visibility and settings.terminator and not shadow_maps,
+        lightmap=lightmap,
+        terminator=visibility and settings.terminator and not (shadow_maps or lightmap),
     )  # fmt: skip
     skipped = []
     if not reference:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from glhybrid import needs, techniques
 from glhybrid.deform import at_time
+from glhybrid.errors import SettingError
 from glhybrid.geometry import choose_levels
 from glhybrid.motion import Motion, wanted
 from glhybrid.needs import Features
@@ -45,6 +46,11 @@ def make(
     """
     tuning = tuning or rule(software)
     found = needs.find(scene, settings)
+    if found.features.lightmap and motion is not None and not motion.still:
+        raise SettingError(
+            f'shadows = baked: clip "{motion.clip.name}" moves things, and light maps hold for what stands still: '
+            "leave out time, clip and frames, or take shadows = ray"
+        )
     levels, why = 2, "what moves does not rebuild the rest"
     if motion is None:
         levels, why = choose_levels(scene, settings.levels)
@@ -76,6 +82,7 @@ def make(
         passes.append("reference")
     else:
         shadow = "shadow_map" if features.shadow_maps else "shadow_soft" if features.light_discs else "shadow"
+        shadow = "baked" if features.lightmap else shadow
         passes += [shadow] * features.visibility + _mirror_passes(features, settings) + ["composite"]
     passes.append("display")
     return Plan(features, levels, primary, split, tuple(passes), tuple(reasons), tuple(skipped))

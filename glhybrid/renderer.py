@@ -15,6 +15,7 @@ from glhybrid.gpu_scene import GpuScene
 from glhybrid.image import AOVS, Frame, check_aovs
 from glhybrid.mover import Mover
 from glhybrid.passes.aov import Aov
+from glhybrid.passes.baked import Baked
 from glhybrid.passes.composite import Composite
 from glhybrid.passes.display import Display
 from glhybrid.passes.gbuffer import GBufferRaster, GBufferTrace
@@ -121,15 +122,22 @@ class Renderer:
     ) -> tuple["Staged", View, Any, Any]:
         """One picture that stays on the GPU: the staging, the view, and the images of radiance and display."""
         choose_camera(scene, camera)  # refuses an unknown one before any work is done
-        staged = self.stage(scene, settings, size, aovs)
+        staged = self.stage(scene, settings, size, aovs, progress)
         view = staged.aim(settings, camera, timing.enabled)
         if staged.outgrown:
-            staged = self.stage(scene, settings, size, aovs)
+            staged = self.stage(scene, settings, size, aovs, progress)
             view = staged.aim(settings, camera, timing.enabled)
         radiance = staged.accumulate(timing, progress)
         return staged, view, radiance, timing.run("display", lambda: staged.display.run(staged.targets, radiance))
 
-    def stage(self, scene: Scene, settings: Settings, size: tuple[int, int], aovs: tuple[str, ...] = ()) -> "Staged":
+    def stage(
+        self,
+        scene: Scene,
+        settings: Settings,
+        size: tuple[int, int],
+        aovs: tuple[str, ...] = (),
+        progress: Progress | None = None,
+    ) -> "Staged":
         """Everything a scene needs on the GPU under these settings; kept until one of them changes.
 
         Another size changes images alone. So do other lights and another turn of the environment change only numbers:
@@ -144,7 +152,7 @@ class Renderer:
         shared = next((s for s in reversed(self._stagings) if s.shares_upload(scene, settings)), None)
         self._drop(self._most - 1, shared.upload if shared else None)
         kept = (shared.upload, shared.mover) if shared else None
-        staged = Staged(self.context, self.shaders, scene, settings, size, aovs, kept, self.tuning)
+        staged = Staged(self.context, self.shaders, scene, settings, size, aovs, kept, self.tuning, progress)
         self._stagings.append(staged)
         return staged
 
@@ -201,6 +209,7 @@ class Staged:
         aovs: tuple[str, ...],
         kept: tuple[GpuScene, Mover | None] | None = None,
         tuning: Tuning | None = None,
+        progress: Progress | None = None,
     ) -> None:
         self.context, self.shaders, self.scene, self.settings, self.aovs = context, shaders, scene, settings, aovs
         self.mover: Mover | None
@@ -238,6 +247,7 @@ class Staged:
             shadow_maps=features.shadow_maps and not empty,
             shadow_rays=features.shadow_rays and not empty,
             shadow_bits=features.shadow_bits and not empty,
+            lightmap=features.lightmap and not empty,
         )
         self.features, self.empty = features, empty
         self.constants = FrameConstants(context, scene, settings)
@@ -246,9 +256,13 @@ class Staged:
         self.targets = Targets(context, size)
         self._flipped = upload.flipped
         self.gbuffer = self._make_gbuffer()
-        self.shadow: Shadow | ShadowMap | ShadowSoft | None = None
+        self.shadow: Shadow | ShadowMap | ShadowSoft | Baked | None = None
         if features.shadow_maps:
             self.shadow = ShadowMap(context, shaders, upload, features, settings)
+            upload.resources.update(self.shadow.resources)
+        elif features.lightmap:
+            upload.relight(scene.lights)
+            self.shadow = Baked(context, shaders, upload, features, settings, progress)
             upload.resources.update(self.shadow.resources)
         elif features.visibility and features.light_discs:
             self.shadow = ShadowSoft(shaders, upload, features, settings)
@@ -476,13 +490,13 @@ class Staged:
         }  # fmt: skip
 
     def _map_bytes(self) -> int:
-        return self.shadow.bytes if isinstance(self.shadow, ShadowMap) else 0
+        return self.shadow.bytes if isinstance(self.shadow, (ShadowMap, Baked)) else 0
 
     def release(self, keep_upload: bool = False) -> None:
         self.targets.release()
         if self._spare is not None:
             self._spare.release()
-        maps = self.shadow if isinstance(self.shadow, ShadowMap) else None
+        maps = self.shadow if isinstance(self.shadow, (ShadowMap, Baked)) else None
         for owner in (self.gbuffer, self.display, self.sky, self.reference, maps):
             if owner is not None:
                 owner.release()

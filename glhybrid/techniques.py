@@ -38,6 +38,7 @@ class Technique:
     stochastic: bool = False
     traced: bool = False  # needs the tree
     depth_maps: bool = False
+    light_maps: bool = False
     mirror_pass: str = ""  # of reflections: the pass that answers what the mirror direction shows
     parameters: tuple[Parameter, ...] = ()
 
@@ -124,7 +125,33 @@ _ALL = (
             _PLANE,
         ),
     ),
-    Technique("shadows", "baked", "lightmap in its own UV set, traced once; static scenes"),
+    Technique(
+        "shadows",
+        "baked",
+        "lightmap in its own UV set, traced once; static scenes",
+        implemented=True,
+        traced=True,
+        light_maps=True,
+        parameters=(
+            Parameter("texels", 0.0, "a metre; 0: as many as fill the budget", 0.0, 1e6, sweep=()),
+            Parameter(
+                "budget", 2 << 20, "texels over all surfaces, if not given a metre", 1024, 1 << 26, sweep=(1 << 18,)
+            ),
+            Parameter("samples", 64, "rays a texel to a light that has a size", 1, 65536, sweep=()),
+            Parameter("push", True, "points of texels inside solids are moved out of them"),
+            Parameter(
+                "dilation",
+                8,
+                "texels over which those that stay inside take their neighbours' values",
+                0,
+                256,
+                sweep=(),
+            ),
+            Parameter(
+                "triangles", 2_000_000, "most that are unwrapped: a million takes about a minute", 1, 1 << 27, sweep=()
+            ),
+        ),
+    ),
     Technique("shadows", "ray", "one any-hit ray per pixel and light", implemented=True, traced=True),
     Technique(
         "shadows",

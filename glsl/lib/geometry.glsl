@@ -77,13 +77,10 @@ Point triangle_point(uvec4 tri, vec2 bary, Instance inst) {
 
 vec2 sphere_uv(vec3 n_os) { return vec2(angle_of(n_os.x, n_os.z) / (2.0 * PI) + 0.5, angle_of(length(n_os.xz), n_os.y) / PI); }
 
-// The point of a sphere under a ray; bary is not used: the point is put back on the sphere along its radius.
-Point sphere_point(uvec4 tri, Ray ray, float t, Instance inst) {
+// The point of a sphere in direction n_os (unit, object space) from its centre.
+Point sphere_point_at(uvec4 tri, vec3 n_os, Instance inst) {
     vec3 centre = vertex_position(tri.x);
     float radius = sphere_radius(tri);
-    mat3 object_from_world = mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]);
-    vec3 origin_os = object_from_world * ray.origin + inst.object_from_world[3];
-    vec3 n_os = normalize(origin_os + t * (object_from_world * ray.dir) - centre);
     vec3 p_os = centre + radius * n_os;
     vec3 p_ws = inst.world_from_object[3] + mat3(inst.world_from_object[0], inst.world_from_object[1],
                                                  inst.world_from_object[2]) * p_os;
@@ -94,6 +91,13 @@ Point sphere_point(uvec4 tri, Ray ray, float t, Instance inst) {
     // The quadratic's rounding grows with the radius, not with an edge: 2^-20 of it.
     vec3 object_err = 5.9604645e-8 * abs(centre) + 9.5367432e-7 * radius;
     return Point(p_ws, n_ws, spawn_offset(object_err, p_os, p_ws, n_os, n_ws, n_scale, inst), sphere_uv(n_os));
+}
+
+// The point of a sphere under a ray; bary is not used: the point is put back on the sphere along its radius.
+Point sphere_point(uvec4 tri, Ray ray, float t, Instance inst) {
+    mat3 object_from_world = mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]);
+    vec3 origin_os = object_from_world * ray.origin + inst.object_from_world[3];
+    return sphere_point_at(tri, normalize(origin_os + t * (object_from_world * ray.dir) - vertex_position(tri.x)), inst);
 }
 
 // Where a ray leaves: on the side of the surface that `dir` points to.

@@ -50,12 +50,14 @@ vec3 visibility_of(Point p, LightSample l, uint light) {
     return any_hit(Ray(ray_origin(p, l.dir), 0.0, l.dir, l.distance));
 }
 
-// The same where the technique of shadows says how: a ray, or a look into the light's depth map.
-vec3 visibility_from(Point p, LightSample sample_ws, uint light) {
+// The same where the technique of shadows says how: a ray, or a look into the light's depth map or the light map.
+vec3 visibility_from(Surface s, LightSample sample_ws, uint light) {
 #if USE_SHADOW_MAPS
-    return vec3(map_visibility(p, sample_ws.dir, light));
+    return vec3(map_visibility(s.point, sample_ws.dir, light));
+#elif USE_LIGHTMAP
+    return lightmap_visibility(s.lightmap, light);
 #else
-    return visibility_of(p, sample_ws, light);
+    return visibility_of(s.point, sample_ws, light);
 #endif
 }
 
@@ -67,7 +69,7 @@ vec3 direct_light(Surface s, vec3 v) {
         if (arrives(l) && faces(s, l.dir)) {
             vec3 f = bsdf_eval(s.bsdf, v, l.dir) * l.irradiance;
 #if USE_SHADOW_RAYS
-            f *= visibility_from(s.point, l, i);
+            f *= visibility_from(s, l, i);
 #endif
             sum += f;
         }

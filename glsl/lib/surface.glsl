@@ -1,6 +1,7 @@
 // lib/surface.glsl -- everything shading needs to know about a hit: the closest-hit program's first half.
 #include "lib/bvh.glsl"
 #include "lib/brdf.glsl"
+#include "lib/lightmap.glsl"
 
 struct Surface {
     Point point;         // exact position, n_geo turned to the viewer
@@ -11,6 +12,9 @@ struct Surface {
     bool unlit;
     uint material;
     uint record;
+#if USE_LIGHTMAP
+    vec3 lightmap;       // where its light map has it: lightmap_at
+#endif
 };
 
 #if USE_NORMAL_MAP
@@ -49,6 +53,9 @@ Surface surface_at(Hit hit, Ray ray, float footprint) {
 
     s.point = triangle_point(tri, hit.bary, inst);
     if (sphere) s.point = sphere_point(tri, ray, hit.t, inst);
+#if USE_LIGHTMAP
+    s.lightmap = lightmap_at(hit, s.point, tri, inst);
+#endif
     vec3 to_viewer = -ray.dir;
     float side = dot(s.point.n_geo, to_viewer) < 0.0 ? -1.0 : 1.0;
     s.point.n_geo *= side;

@@ -1,0 +1,27 @@
+// passes/baked.comp -- visibility of a pixel from the light maps: a layer a light, as passes/shadow.comp.
+#include "lib/gbuffer.glsl"
+#include "lib/shade.glsl"
+#include "lib/tile.glsl"
+
+#if USE_BLENDED
+layout(rgba16f) writeonly uniform image2DArray out_visibility;
+#else
+layout(r8) writeonly uniform image2DArray out_visibility;
+#endif
+
+void main() {
+    ivec2 px = tile_pixel();
+    if (any(greaterThanEqual(px, frame.size_px))) return;                  // groups overhang the edge
+    Pixel p = load_pixel(px);
+    if (!covered(p)) {
+        for (uint i = 0u; i < frame.light_count; i++) imageStore(out_visibility, ivec3(px, i), vec4(0.0));
+        return;
+    }
+    Surface s = load_surface(p);
+    for (uint i = 0u; i < frame.light_count; i++) {
+        LightSample l = light_at(lights[i], s.point.position);
+        vec3 visibility = vec3(0.0);
+        if (arrives(l) && faces(s, l.dir)) visibility = lightmap_visibility(s.lightmap, i);
+        imageStore(out_visibility, ivec3(px, i), vec4(visibility, 1.0));
+    }
+}
