@@ -13,19 +13,17 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from glhybrid import __version__
 from glhybrid.image import replacing
 from glhybrid.jit import cache_dir
 from glhybrid.renderer import Renderer
 from glhybrid.scene import F32, Camera, Scene
 from glhybrid.settings import Settings
-from glhybrid.study import picture
+from glhybrid.study import picture, store
 
 log = logging.getLogger("glhybrid")
 Progress = Callable[[str, int, int], None]
@@ -57,21 +55,8 @@ class Reference:
 def content_key(scene: Scene, camera: Camera, size: tuple[int, int], bounces: int) -> str:
     """Everything that decides the picture: the file's content, the view, the size, the depth and our own sources."""
     view = [camera.world_from_view.tolist(), camera.fov_y, camera.fov_short, camera.near, camera.xmag, camera.ymag]
-    parts = [source_digest(), scene.sha256 or scene.name, view, list(size), bounces]
+    parts = [store.renderer_digest(), scene.sha256 or scene.name, view, list(size), bounces]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
-
-
-@lru_cache(maxsize=1)
-def source_digest() -> str:
-    """Of the package's modules and shaders: figures of another version are not ours."""
-    from glhybrid.load.builtin import data_folder
-
-    digest = hashlib.sha256(__version__.encode())
-    package = Path(__file__).resolve().parent.parent
-    files = [*package.rglob("*.py"), *(p for p in data_folder("glsl").rglob("*") if p.is_file())]
-    for path in sorted(p for p in files if "study" not in p.parts and "bench" not in p.parts):
-        digest.update(path.name.encode() + path.read_bytes())
-    return digest.hexdigest()[:16]
 
 
 def converge(

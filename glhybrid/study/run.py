@@ -4,7 +4,6 @@ load -> reference.converge -> direct.find -> sweep.axis -> measure (kept in stor
      -> failures, stability -> results.json, results.csv, report.html
 """
 
-import importlib
 import logging
 import math
 import statistics
@@ -18,11 +17,11 @@ import numpy as np
 
 from glhybrid import techniques
 from glhybrid.errors import GlhybridError, SettingError
-from glhybrid.image import replacing
+from glhybrid.image import Frame, replacing
 from glhybrid.renderer import Renderer
 from glhybrid.scene import F32, Camera, Scene
 from glhybrid.settings import Settings
-from glhybrid.study import direct, measure, pareto, picture, stability, store, sweep
+from glhybrid.study import curves, direct, measure, pareto, picture, stability, store, sweep
 from glhybrid.study import reference as references
 from glhybrid.study.develop import develop
 from glhybrid.study.measure import Clock
@@ -32,10 +31,10 @@ from glhybrid.study.sweep import PAIRS, Cell
 from glhybrid.view import choose_camera
 
 log = logging.getLogger("glhybrid")
-VERSION = 1  # of a kept cell: a new one makes all old
 SCENES = ("atrium", "plaza", "showroom")
 QUICK_SCENES = ("showroom", "atrium")
-PARTS = ("failures",)
+PARTS = ("stability", "failures")
+FAILURE_CELLS = 20  # what the failure library counts for in the progress
 REFERENCE_CELLS = 8  # what a reference counts for in the progress
 BUSY = 1.25  # times the CPU time: from here on wall time measures the neighbours
 
@@ -137,11 +136,15 @@ def run(
                                     only, output, study, meter))  # fmt: skip
         for one in work:
             meter.expect(one.size_of_work())
+        meter.expect(("stability" in parts) * curves.size_of_work() + ("failures" in parts) * FAILURE_CELLS)
         for one in work:
             one.run()
             finish(study, output)
+        if "stability" in parts:
+            study.curves = curves.run(renderer, output / "stability", quick, meter, study.note)
+            finish(study, output)
         if "failures" in parts:
-            study.failures += failures(renderer, meter)
+            study.failures = failures(renderer, output / "failures", meter, study.note)
     finish(study, output)
     return study
 
@@ -163,14 +166,34 @@ def _machine(renderer: Renderer, size: tuple[int, int], command: str) -> dict[st
     return machine(renderer.context.device.to_dict(), size=list(size), cores=threads_available(), command=command)
 
 
-def failures(renderer: Renderer, meter: Meter) -> list[dict[str, Any]]:
-    """The failure library, where this version has it."""
-    try:
-        library = importlib.import_module("glhybrid.study.failures")
-    except ImportError:
-        return []
-    meter.begin("failure library")
-    rows: list[dict[str, Any]] = library.run(renderer, progress=None)
+def failures(renderer: Renderer, folder: Path, meter: Meter, note: Callable[[str], None]) -> list[dict[str, Any]]:
+    """The failure library's rows, case by case, each kept with its pictures as it is finished."""
+    from glhybrid.study import failures as library
+
+    names, rows = library.cases(), []
+    for name in names:
+        meter.begin(f"failure library: {name}")
+        case = library.load(name)
+        key = store.fingerprint(store.code_digest(), case.scene.sha256, renderer.context.device.to_dict())
+        path = folder / f"{name}.json"
+        kept = store.read(path, key)
+        if kept is None:
+            found, images = [], {}
+            for k, row in enumerate(library.run(renderer, [name], pictures=True)):
+                picture_of = row.pop("picture", None)
+                if picture_of is not None:
+                    images[str(k)] = row["image"] = f"{name}-{k}.png"
+                    folder.mkdir(parents=True, exist_ok=True)
+                    Frame(picture_of).save(folder / row["image"])
+                found.append(row)
+            kept = {"rows": found, "images": images, "key": key}
+            store.write_json(path, kept)
+        for row in kept["rows"]:
+            if row["verdict"] == library.SKIPPED:
+                note(f"failure {row['case']}: {row['because']}")
+            else:
+                rows.append(row)
+        meter.end(FAILURE_CELLS / len(names))
     return rows
 
 
@@ -310,7 +333,7 @@ class _SceneStudy:
         stem = cell.stem
         path = self.folder / f"{stem}.json"
         key = store.fingerprint(
-            VERSION, references.source_digest(), self.reference.key, self.reference.samples, settings.to_dict(),
+            store.code_digest(), self.reference.key, self.reference.samples, settings.to_dict(),
             self.renderer.context.device.to_dict(), self.spent.clock.__dict__, self.spent.points, self.spent.pan_steps,
         )  # fmt: skip
         row = seen.get(cell.key) or store.read(path, key)

@@ -6,9 +6,11 @@ import io
 import json
 import math
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from glhybrid import __version__
 from glhybrid.errors import OutputError
 from glhybrid.image import replacing
 
@@ -16,6 +18,29 @@ from glhybrid.image import replacing
 def fingerprint(*parts: Any) -> str:
     """Of plain values."""
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:32]
+
+
+@lru_cache(maxsize=1)
+def renderer_digest() -> str:
+    """Of the modules and shaders that make pictures: those of another version are not ours."""
+    from glhybrid.load.builtin import data_folder
+
+    package = Path(__file__).resolve().parent.parent
+    files = [p for p in package.rglob("*.py") if not {"study", "bench", "viewer"} & set(p.relative_to(package).parts)]
+    return _digest([*files, *(p for p in data_folder("glsl").rglob("*") if p.is_file())])
+
+
+@lru_cache(maxsize=1)
+def code_digest() -> str:
+    """The same, and of what measures them."""
+    return renderer_digest() + _digest(Path(__file__).resolve().parent.glob("*.py"))
+
+
+def _digest(files: Iterable[Path]) -> str:
+    digest = hashlib.sha256(__version__.encode())
+    for path in sorted(files):
+        digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def prepare(folder: Path) -> None:

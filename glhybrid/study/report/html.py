@@ -39,7 +39,14 @@ def _page(study: "Study", output: Path, files: dict[str, str]) -> str:
     parts = [_header(study), "<main>", _findings(study)]
     for name in study.scenes:
         parts.append(_scene(study, name, output, files))
-    parts += [_curves(study, files), _paper(study), _peers(study), _failures(study), _reading(study), _notes(study)]
+    parts += [
+        _curves(study, files),
+        _paper(study),
+        _peers(study),
+        _failures(study, output),
+        _reading(study),
+        _notes(study),
+    ]
     parts.append("</main>")
     css = (HERE / "report.css").read_text(encoding="utf-8") + charts.STYLE
     script = (HERE / "report.js").read_text(encoding="utf-8")
@@ -346,24 +353,53 @@ def _peers(study: "Study") -> str:
     return peers(study.peers)
 
 
-def _failures(study: "Study") -> str:
+VERDICTS = {"holds": "good", "fails as expected": "soft", "unexpected": "bad"}
+
+
+def _failures(study: "Study", output: Path) -> str:
     if not study.failures:
         return ""
-    colour = {"holds": "good", "fails as expected": "soft", "unexpected": "bad"}
     body = "".join(
         f"<tr><td>{escape(str(f['case']))}</td><td class='text'>{escape(str(f['technique']))}</td>"
-        f"<td class='text'>{escape(str(f['measure']))}</td><td data-value='{_sortable(f['value'])}'>{_value(f['value'])}</td>"
-        f"<td class='text'>{_value(f['expected'])}</td>"
-        f"<td class='text {colour.get(f['verdict'], '')}'>{escape(str(f['verdict']))}</td></tr>"
+        f"<td class='text'>{escape(_measured(f))}</td><td data-value='{_sortable(f['value'])}'>{_value(f['value'])}</td>"
+        f"<td class='text'>{_expected(f['expected'])}</td>"
+        f"<td class='text {VERDICTS.get(f['verdict'], '')}'>{escape(str(f['verdict']))}</td></tr>"
         for f in study.failures
     )
     names = ("case", "technique", "measure", "value", "expected", "verdict")
     head = "".join(f"<th class='text'><button>{name}</button></th>" for name in names)
+    gallery = []
+    for case in dict.fromkeys(f["case"] for f in study.failures):
+        rows = [f for f in study.failures if f["case"] == case]
+        figures = "".join(_failed(f, output / "failures") for f in rows if f.get("image"))
+        if figures:
+            title, why = escape(str(rows[0].get("title", case))), escape(str(rows[0].get("why", "")))
+            gallery.append(f"<h3>{title}</h3><p class='soft'>{why}</p><div class='strip'>{figures}</div>")
     return (
-        '<section id="failures"><h2>The failure library</h2><p>Small scenes, each made to break one technique. Depth maps '
-        "and screen space must fail where theory says; traced techniques must hold.</p>"
-        f'<div class="wide"><table class="sortable"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div></section>'
+        '<section id="failures"><h2>The failure library</h2><p>Small scenes, each made to break one technique. A technique '
+        "that theory breaks must fail by about as much as expected; the traced ones must hold.</p>"
+        f'<div class="wide"><table class="sortable"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+        f"{''.join(gallery)}</section>"
     )
+
+
+def _failed(row: Row, folder: Path) -> str:
+    return (
+        f'<figure><img loading="lazy" alt="{escape(row["technique"], quote=True)}" src="{embedded(folder / row["image"], 400)}">'
+        f"<figcaption><b>{escape(row['technique'])}</b>, {_value(row['value'])} {escape(str(row.get('unit', '')))}: "
+        f"<span class='{VERDICTS.get(row['verdict'], '')}'>{escape(row['verdict'])}</span></figcaption></figure>"
+    )
+
+
+def _measured(row: Row) -> str:
+    unit = row.get("unit")
+    return f"{row['measure']}, {unit}" if unit else str(row["measure"])
+
+
+def _expected(value: object) -> str:
+    if isinstance(value, (list, tuple)) and len(value) == 2:
+        return f"{_value(value[0])} to {_value(value[1])}"
+    return _value(value)
 
 
 def _value(value: object) -> str:
