@@ -51,9 +51,9 @@ def fit(values: Iterable[float], start: float, end: float, *, log: bool = True, 
 
 
 def log_ticks(low: float, high: float) -> list[float]:
-    """1, 2 and 5 of each decade; 1 alone where there are many decades."""
+    """1, 2 and 5 of each decade; more where there is only a part of one, 1 alone where there are many."""
     decades = math.log10(high / low)
-    steps: Sequence[int] = (1, 2, 5) if decades <= 3 else (1,)
+    steps: Sequence[float] = (1, 1.5, 2, 3, 4, 5, 7) if decades < 1.2 else (1, 2, 5) if decades <= 3 else (1,)
     first, last = math.floor(math.log10(low)), math.ceil(math.log10(high))
     return [s * 10.0**e for e in range(first, last + 1) for s in steps if low <= s * 10.0**e <= high]
 

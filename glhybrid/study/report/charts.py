@@ -8,6 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import pairwise
 
 from glhybrid.study.report.axis import Axis, fit, shown
 
@@ -15,6 +16,7 @@ WIDE, NARROW = (960, 500), (570, 420)  # px: a chart on its own, and one of two 
 LEFT, RIGHT, TOP, BOTTOM = 62, 18, 18, 50
 CHARACTER = 6.15  # px, mean advance of the 11.5 px face
 LINE = 14.0
+Box = tuple[float, float, float, float]  # left, top, right, bottom, px
 
 STYLE = """
 .chart{--ink:#1c2024;--soft:#60666d;--grid:#e3e6ea;--paper:#fff;--raster:#0b62a8;--traced:#c4480a;--random:#067a55;
@@ -78,14 +80,18 @@ def scatter(
         parts.append(f'<line class="floor" x1="{LEFT}" x2="{width - RIGHT}" y1="{at:.1f}" y2="{at:.1f}"/>')
         parts.append(f'<text class="soft small" x="{LEFT + 4}" y="{at - 4:.1f}">{escape(floor_label)}</text>')
     front = sorted((p for p in points if p.front), key=lambda p: (p.x, -p.y))
+    walls: list[Box] = []
     if len(front) > 1:
         path = f"M{x.at(front[0].x):.1f} {y.at(front[0].y):.1f}"
         path += "".join(f"H{x.at(p.x):.1f}V{y.at(p.y):.1f}" for p in front[1:])
         parts.append(f'<path class="front" d="{path}"/>')
+        for p, q in pairwise(front):
+            (x0, y0), (x1, y1) = (x.at(p.x), y.at(p.y)), (x.at(q.x), y.at(q.y))
+            walls += [(x0, y0 - 2, x1, y0 + 2), (x1 - 2, min(y0, y1), x1 + 2, max(y0, y1))]
     for p in sorted(points, key=lambda p: p.front):
         tip = f"{p.label}: {shown(p.x)} ms, {shown(p.y)}"
         parts.append(_mark(x.at(p.x), y.at(p.y), p, tip))
-    parts += _labels([(x.at(p.x), y.at(p.y), p) for p in points], size)
+    parts += _labels([(x.at(p.x), y.at(p.y), p) for p in points], walls, size)
     return _svg(parts, title, size)
 
 
@@ -197,9 +203,9 @@ def _mark(x: float, y: float, point: Point, tip: str) -> str:
     return f"{shape}><title>{escape(tip)}</title></{name}>"
 
 
-def _labels(points: Sequence[tuple[float, float, Point]], size: tuple[int, int]) -> list[str]:
+def _labels(points: Sequence[tuple[float, float, Point]], walls: Sequence[Box], size: tuple[int, int]) -> list[str]:
     """Names beside their points: those of the front always, the others where nothing is in the way."""
-    taken = [(x - 6, y - 6, x + 6, y + 6) for x, y, _ in points]
+    taken: list[Box] = [*walls, *((x - 6, y - 6, x + 6, y + 6) for x, y, _ in points)]
     parts = []
     for x, y, p in sorted(points, key=lambda it: (not it[2].front, it[1])):
         if not (p.front or p.named):
@@ -225,7 +231,7 @@ def _spot(
     x: float,
     y: float,
     wide: float,
-    taken: Sequence[tuple[float, float, float, float]],
+    taken: Sequence[Box],
     rings: int,
     size: tuple[int, int],
 ) -> tuple[float, float] | None:

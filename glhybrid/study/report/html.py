@@ -170,7 +170,7 @@ def _chart(name: str, axis: str, rows: Sequence[Row], clock: str, reference: Row
     ]  # fmt: skip
     what = {
         "": "HDR-FLIP of the whole picture", "flip_shadow": "HDR-FLIP of the direct light alone",
-        "flip_reflection": "HDR-FLIP, weighted by how specular a pixel is", "flip": "HDR-FLIP of the whole picture",
+        "flip_reflection": "HDR-FLIP, weighted by specular share", "flip": "HDR-FLIP of the whole picture",
     }[key if axis else ""]  # fmt: skip
     title = f"{name}: frame time against error" + (f", {axis}" if axis else "")
     floor = reference["noise_flip"] if key != "flip_shadow" else None
