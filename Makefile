@@ -1,6 +1,7 @@
 # make demo    sets up, renders the built-in scene `atrium` and says where the picture is
 # make test    sets up, then lint, types and tests
 # make sheet   draws every model under MODELS (../shared/models) in one picture, out/sheet.png
+# make failures  runs the failure library: figures, and pictures in one, out/failures.png
 # make setup   leaves a ready .venv in the checkout; quick when that is done already
 #
 # PYTHON=python3.12 chooses the interpreter (>= 3.11).
@@ -11,7 +12,7 @@ DEMO := out/atrium.png
 
 MODELS ?= ../shared/models
 
-.PHONY: help setup setup-dev demo test sheet clean
+.PHONY: help setup setup-dev demo test sheet failures clean
 
 help:
 	@sed -n 's/^# \(make .*\)/\1/p' Makefile
@@ -36,6 +37,10 @@ test: setup-dev
 sheet: setup
 	@mkdir -p out
 	$(BIN)/python tests/contact_sheet.py $(MODELS) -o out/sheet.png
+
+failures: setup
+	@mkdir -p out
+	$(BIN)/python tests/failure_sheet.py -o out/failures.png
 
 clean:
 	rm -rf out build dist .pytest_cache .ruff_cache .mypy_cache

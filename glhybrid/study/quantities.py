@@ -326,7 +326,7 @@ def wrong_hit(subject: Subject, border: bool = True) -> Measured:
     if border:
         flat = np.isfinite(seen.hit.t)
         with np.errstate(divide="ignore"):
-            steps = np.where(flat, np.floor(np.log2(np.where(flat, seen.hit.t, 1)) * 8), 1e6)
+            steps = np.where(flat, np.floor(np.log2(np.where(flat, seen.hit.t, 1))), 1e6)
         counted &= ~metrics.edge_band(steps)
     return Measured(100 * float((wrong & counted).sum()) / max(int(counted.sum()), 1), marked(picture, wrong & counted))
 
