@@ -127,6 +127,24 @@ def penumbra_width(subject: Subject, heights: list[float]) -> Measured:
     return Measured(max(ratios, key=lambda r: abs(np.log(r))), picture)
 
 
+@quantity("visibility")
+def penumbra_error(subject: Subject, heights: list[float]) -> Measured:
+    """Mean distance of visibility from a disc's closed form in the penumbra of a straight edge at x = 0.
+
+    The mean over the heights of the edge above the floor y = 0, a camera for each.
+    """
+    case = subject.case
+    half_angle = case.scene.lights[0].angular_diameter / 2
+    errors, pictures = [], []
+    for camera, height in enumerate(heights):
+        seen, true = case.seen(camera), height * np.tan(half_angle)
+        floor = seen.covered & (np.abs(seen.position[..., 1]) < 1e-6) & (np.abs(seen.position[..., 0]) < true)
+        got, shown = subject.visibility(camera)
+        errors.append(metrics.visibility_mae(got, metrics.disc_visibility(seen.position[..., 0] / true), floor))
+        pictures.append(shown)
+    return Measured(float(np.mean(errors)), np.concatenate(pictures, axis=1))
+
+
 @quantity("%")
 def falsely_dark(subject: Subject) -> Measured:
     """Pixels in shadow though their interpolated normal faces the light, on a body that cannot shadow itself."""
@@ -284,12 +302,23 @@ def error(subject: Subject, samples: int = 1024) -> Measured:
     return Measured(rms / float(want[on].mean()), frame.rgb)
 
 
+@quantity("per million")
+def fireflies(subject: Subject, times: float = 10.0, samples: int = 64) -> Measured:
+    """Pixels of rough metal that are so many times as bright as the brightest of the 3 x 3 about them in truth."""
+    on, want = _rough(subject), subject.reference(samples=samples).mean(-1)
+    height, width = want.shape
+    padded = np.pad(want, 1, mode="edge")
+    brightest = np.max([padded[y : y + height, x : x + width] for y in range(3) for x in range(3)], axis=0)
+    frame = subject.frame()
+    wrong = on & ~(frame["radiance"].mean(-1) <= times * brightest)
+    return Measured(1e6 * float(wrong[on].mean()), marked(frame.rgb, wrong))
+
+
 @quantity("times the true width")
 def edge_width(subject: Subject, rows: list[int], band: int = 8, samples: int = 64) -> Measured:
     """How wide an upright edge in the picture's middle is mirrored by rough metal, over how wide it truly is.
 
-    In bands of rows that begin at `rows`; the value is the one that is most wrong. A width is 6 sum V (1 - V) over the
-    mean profile of a band, that of a ramp from 0 to 1.
+    In bands of rows that begin at `rows`; the value is the one that is most wrong.
     """
     want, frame = subject.reference(samples=samples).mean(-1), subject.frame()
     got, on = frame["radiance"].mean(-1), _rough(subject)
@@ -302,13 +331,21 @@ def edge_width(subject: Subject, rows: list[int], band: int = 8, samples: int = 
 
 
 def _ramp(profile: Any) -> float:
-    """The width of a step in a line of values, pixels; its ends, a twelfth each, are low and high."""
-    end = max(len(profile) // 12, 1)
-    low, high = profile[:end].mean(), profile[-end:].mean()
-    if abs(high - low) < 0.02 * abs(high + low):
-        return 0.0  # no step at all
-    v = np.clip((profile - low) / (high - low), 0, 1)
-    return float(6 * (v * (1 - v)).sum())
+    """The width of a step in a line of values, pixels: that of the logistic curve which fits it best, over its slope.
+
+    0 where there is no step.
+    """
+    n = len(profile)
+    if np.ptp(np.convolve(profile, np.ones(8) / 8, "valid")) < 0.05 * abs(profile.mean()):
+        return 0.0
+    width = np.geomspace(0.25, n, 60)[:, None, None]
+    centre = np.linspace(0.25, 0.75, 81)[None, :, None] * n
+    curve = 0.5 + 0.5 * np.tanh(2 * (np.arange(n) + 0.5 - centre) / width)
+    # low and high of each curve by least squares: what is left of the variance that the curve does not explain
+    curve -= curve.mean(-1, keepdims=True)
+    flat = profile - profile.mean()
+    explained = (curve @ flat) ** 2 / np.maximum((curve * curve).sum(-1), 1e-12)
+    return float(width[np.unravel_index(explained.argmax(), explained.shape)[0], 0, 0])
 
 
 # The scene itself ------------------------------------------------------------------------------------------------
