@@ -157,6 +157,11 @@ STRUCTS: dict[str, list[Row]] = {
         ("uint", "map_count", "cascades, finest first; 6 = faces +X -X +Y -Y +Z -Z"),
         ("uint", "cube", "1 = faces"),
     ],
+    "Probe": [
+        ("vec3", "position", "where it was captured, origin-relative, m"),
+        ("vec3", "box_min", "of what it speaks for"),
+        ("vec3", "box_max", ""),
+    ],
     "Emitter": [  # reference only
         ("uint", "instance", "row of instances"),
         ("uint", "triangle", "row of triangles"),

@@ -40,6 +40,7 @@ class Features:
     lightmap: bool = False  # or baked light maps
     reflections: bool = False  # a pass for what the mirror direction shows runs
     mirror_rays: bool = False  # and traces, as do blended layers
+    probes: bool = False  # captured surroundings stand before the sky
     march: bool = False  # and looks into the G-buffer first
     glossy: bool = False  # or gathers rays over specular lobes
     glossy_coat: bool = False  # of the clearcoat, in passes/glossy.comp
@@ -119,7 +120,7 @@ def find(scene: Scene, settings: Settings) -> Needs:
     cutoff = techniques.cutoff(settings)
     mirrors = any(reflective(m, cutoff) for m in materials)
     reflecting = techniques.REFLECTIONS[settings.reflections]
-    reflections = reflecting.mirror_pass != "" and mirrors
+    reflections = reflecting.mirror_pass not in ("", "probe") and mirrors
     technique = techniques.SHADOWS[settings.shadows]
     visibility = lit and settings.shadows != "none" and not reference
     shadow_maps = visibility and technique.depth_maps
@@ -155,6 +156,7 @@ def find(scene: Scene, settings: Settings) -> Needs:
         mirror_rays=reflections and reflecting.traced,
         march=reflections and reflecting.mirror_pass == "ssr",
         glossy=reflections and reflecting.mirror_pass == "glossy",
+        probes=mirrors and reflecting.mirror_pass == "probe",
         emitters=reference and any(max(m.emissive) > 0 for m in materials),
         lightmap=lightmap,
         terminator=visibility and settings.terminator and not (shadow_maps or lightmap),

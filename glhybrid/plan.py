@@ -71,6 +71,14 @@ def make(
     split = split and (settings.kernels == "split" or not software)
     if split:
         reasons.append("reflections run as three programs: a GPU keeps more rays in flight beside less shading code")
+    if features.probes:
+        named = len(scene.probes)
+        reasons.append(f"{named} probes as the scene has them" if named else "one probe, placed where it sees far")
+    if features.march and features.blended:
+        reasons.append(
+            "blended surfaces are not in the G-buffer: "
+            + ("every reflection looks for them with rays" if features.mirror_rays else "they are not reflected")
+        )
     skipped = list(found.skipped)
     passes = ["gbuffer"]
     if motion is not None and motion.deformers:

@@ -20,6 +20,7 @@ from glhybrid.passes.composite import Composite
 from glhybrid.passes.display import Display
 from glhybrid.passes.gbuffer import GBufferRaster, GBufferTrace
 from glhybrid.passes.glossy import Glossy
+from glhybrid.passes.probe import Probe
 from glhybrid.passes.reference import Reference
 from glhybrid.passes.reflect import Reflect
 from glhybrid.passes.shadow import Shadow
@@ -27,6 +28,7 @@ from glhybrid.passes.shadow_map import ShadowMap
 from glhybrid.passes.shadow_soft import ShadowSoft
 from glhybrid.passes.sky import Sky
 from glhybrid.passes.ssr import Ssr
+from glhybrid.probe_capture import Capture
 from glhybrid.readback import Reading, at_once
 from glhybrid.scene import Camera, Scene
 from glhybrid.settings import Settings
@@ -243,6 +245,7 @@ class Staged:
             mirror_rays=features.mirror_rays and not empty,
             march=features.march and not empty,
             glossy=features.glossy and not empty,
+            probes=features.probes and not empty,
             visibility=features.visibility and not empty,
             shadow_maps=features.shadow_maps and not empty,
             shadow_rays=features.shadow_rays and not empty,
@@ -276,6 +279,8 @@ class Staged:
             self.reflect = Glossy(shaders, upload, features, settings)
         elif features.reflections:
             self.reflect = Reflect(shaders, upload, features, self.plan.split)
+        self.probe = Probe(context, shaders, upload, features, settings) if features.probes else None
+        self._capture: Capture | None = None
         reference = settings.reflections == "reference" and not empty  # without a tree there is only the background
         self.reference = Reference(context, shaders, upload, features) if reference else None
         self.composite = Composite(shaders, upload, features) if not reference else None
@@ -355,6 +360,8 @@ class Staged:
         if self.mover is not None:
             scene = self.drawn = self.mover.show(settings.time or 0.0, timed)
             self._relight()
+            if self.probe is not None:
+                self.probe.stale = True
             if not np.array_equal(self._flipped, self.upload.flipped):  # the raster's states say who is mirrored
                 self.gbuffer.release()
                 self._flipped, self.gbuffer = self.upload.flipped, self._make_gbuffer()
@@ -366,12 +373,27 @@ class Staged:
     def look(self, view: View) -> None:
         """Points the next frames through a view."""
         self._ids = None
+        if self.probe is not None:
+            if self.probe.stale:
+                self._capture_probes(self.probe)
+            self.probe.look(view.origin)
         self.upload.rebase(view.origin)
         if isinstance(self.shadow, ShadowMap):
             self.shadow.look(view, self.bounds if self.mover is not None else None)
         self.constants.look(view, len(self.upload.lights))
         grid_min, grid_step = self.upload.top_grid(view.origin)
         self.constants.put(top_root=self.upload.top_root, top_grid_min=grid_min, top_grid_step=grid_step)
+
+    def _capture_probes(self, probe: Probe) -> None:
+        """Probes as things are now. What renders them is kept where things move."""
+        self._capture = self._capture or Capture(self, probe)
+        probe.timed(self._capture.run)
+        if self.mover is None:
+            self._capture.release()
+            self._capture = None
+        self._own |= probe.resources
+        self.upload.resources.update(self._own)
+        self._relight()
 
     def set(self, **values: Any) -> None:
         """Changes frame constants and uploads them."""
@@ -445,7 +467,9 @@ class Staged:
             if self.shadow is None:
                 return outputs.constant(np.ones((height, width, len(self.upload.lights)), np.float32))
             return outputs.layers(self.targets.get(self.shadow.channel))
-        if name in ("reflection", "reflection_hit", "reason") and self.reflect is None:
+        if self.probe is not None and name in ("reflection", "reflection_hit", "reason"):
+            self.probe.run(self.targets, self._ids)
+        elif self.reflect is None and name in ("reflection", "reflection_hit", "reason"):
             shape = (height, width, 3) if name == "reflection" else (height, width)
             return outputs.constant(np.zeros(shape, AOVS[name].dtype))
         if name in ("reflection", "reflection_hit"):
@@ -458,6 +482,8 @@ class Staged:
         """What was drawn, how, on what, and how long it took."""
         scene = self.scene
         medians = (self.mover.ms if self.mover is not None else {}) | timing.medians()
+        if self.probe is not None and self.mover is not None:
+            medians["probe"] = self.probe.ms  # anew for every time
         warnings = list(scene.warnings)
         if self.settings.time is not None or self.settings.clip is not None:
             warnings += pose.notes(scene, self.settings.time, self.settings.clip)
@@ -487,17 +513,24 @@ class Staged:
             "passes": [{"name": name, "ms": ms} for name, ms in medians.items()],
             "frame_ms": sum(ms for ms in medians.values()),
             "first_image_ms": first_image_ms,
-        }  # fmt: skip
+        } | self._probes_receipt()  # fmt: skip
+
+    def _probes_receipt(self) -> dict[str, Any]:
+        """Where probes are and how long they took, if there are any."""
+        if self.probe is None:
+            return {}
+        return {"probes": {"placed": [dataclasses.asdict(p) for p in self.probe.placed], "capture_ms": self.probe.ms}}
 
     def _map_bytes(self) -> int:
-        return self.shadow.bytes if isinstance(self.shadow, (ShadowMap, Baked)) else 0
+        maps = self.shadow.bytes if isinstance(self.shadow, (ShadowMap, Baked)) else 0
+        return maps + (self.probe.bytes if self.probe is not None else 0)
 
     def release(self, keep_upload: bool = False) -> None:
         self.targets.release()
         if self._spare is not None:
             self._spare.release()
         maps = self.shadow if isinstance(self.shadow, (ShadowMap, Baked)) else None
-        for owner in (self.gbuffer, self.display, self.sky, self.reference, maps):
+        for owner in (self.gbuffer, self.display, self.sky, self.reference, maps, self.probe, self._capture):
             if owner is not None:
                 owner.release()
         self.constants.release()

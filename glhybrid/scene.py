@@ -213,6 +213,16 @@ class Environment:
         return self.radiance.shape[:2] == (1, 1)
 
 
+@dataclass(frozen=True)
+class Probe:
+    """Where a reflection probe is captured, and the box (low, high) of the room it speaks for. World, metres."""
+
+    position: tuple[float, float, float]
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    name: str = ""
+
+
 @dataclass(frozen=True, eq=False)
 class Camera:
     """A view. world_from_view: (4, 4) float64, rigid, looking down -Z. Perspective if fov_y > 0, else orthographic.
@@ -334,6 +344,7 @@ class Scene:
     lights: tuple[Light, ...] = ()
     cameras: tuple[Camera, ...] = ()
     environment: Environment | None = None
+    probes: tuple[Probe, ...] = ()  # none: one is placed where it sees far
     nodes: tuple[Node, ...] = ()
     skins: tuple[Skin, ...] = ()
     animations: tuple[Animation, ...] = ()

@@ -167,7 +167,18 @@ _ALL = (
     ),
     Technique("reflections", "none", "no reflected light but the lights' highlights", implemented=True),
     Technique("reflections", "env", "prefiltered environment, without occlusion", implemented=True),
-    Technique("reflections", "probe", "box-projected local cube map"),
+    Technique(
+        "reflections",
+        "probe",
+        "box-projected local cube maps, captured in place",
+        implemented=True,
+        mirror_pass="probe",
+        parameters=(
+            _CUTOFF,
+            Parameter("resolution", 256, "texels a side of each of the six faces", 16, 4096),
+            Parameter("blend", 0.1, "m around a probe's box over which it gives way to the next, or the sky", 0.0, 1e9),
+        ),
+    ),
     Technique(
         "reflections",
         "ssr",

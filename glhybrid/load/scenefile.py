@@ -81,7 +81,7 @@ class _Builder:
         root.string("description", "")
         cameras, environment = root.named_tables("camera"), root.table("environment")
         lights, materials, objects = root.tables("light"), root.tables("material"), root.tables("object")
-        study = root.table("study")
+        probes, study = root.tables("probe"), root.table("study")
         root.finish()
         self.cameras += [sceneparts.camera(name, table) for name, table in cameras]
         sky_box = self._environment(environment) if environment else None
@@ -99,6 +99,7 @@ class _Builder:
             lights=tuple(self.lights),
             cameras=tuple(self.cameras),
             environment=sky_box,
+            probes=tuple(sceneparts.probe(table) for table in probes),
             nodes=tuple(self.nodes),
             skins=tuple(self.skins),
             animations=tuple(Animation(name, tuple(channels)) for name, channels in self.clips.values()),

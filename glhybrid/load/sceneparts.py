@@ -7,7 +7,7 @@ import numpy as np
 
 from glhybrid.load import sky
 from glhybrid.load.tables import LIGHT, NOT_NEGATIVE, PLACE, POSITIVE, SCALE, UNIT, Table, between
-from glhybrid.scene import F32, F64, Camera, Light
+from glhybrid.scene import F32, F64, Camera, Light, Probe
 
 
 def parameters(table: Table, defaults: dict[str, Any]) -> dict[str, Any]:
@@ -51,6 +51,22 @@ def camera(name: str, table: Table) -> Camera:
     table.finish()
     made = Camera.look_at(eye, target, up, float(fov_y), near, name)
     return replace(made, fov_y=0.0, ymag=height / 2) if height else made
+
+
+def probe(table: Table) -> Probe:
+    """A place for a reflection probe, in the box it speaks for; without a position in the middle of it."""
+    for key in ("min", "max"):
+        table.need(key, f"a probe needs {key} = [x, y, z], a corner of the box it speaks for")
+    low, high = (three(table.vector(key, (0, 0, 0), PLACE)) for key in ("min", "max"))
+    middle = three(tuple((a + b) / 2 for a, b in zip(low, high, strict=True)))
+    position = three(table.vector("position", middle, PLACE))
+    if not all(a < b for a, b in zip(low, high, strict=True)):
+        table.fail("must be larger than min along every axis", "max")
+    if not all(a < p < b for a, p, b in zip(low, position, high, strict=True)):
+        table.fail("must lie inside the box from min to max", "position")
+    made = Probe(position, low, high, table.string("name", ""))
+    table.finish()
+    return made
 
 
 def light(table: Table) -> Light:

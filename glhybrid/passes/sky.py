@@ -18,7 +18,7 @@ class Sky:
     def __init__(self, context: Context, shaders: Shaders, environment: Environment | None, features: Features) -> None:
         self.resources: dict[str, Any] = {}
         gl = context.gl
-        if features.specular_sky or features.reflections:
+        if features.specular_sky or features.reflections or features.probes:
             size = layout.DFG_SIZE
             dfg = self.resources["dfg"] = gl.texture((size, size), 4, dtype="f2")
             dfg.repeat_x = dfg.repeat_y = False
@@ -35,25 +35,12 @@ class Sky:
         if not features.blurred_sky:
             return
         sizes = layout.PREFILTER_SIZES
-        rough = self._atlas(context, sum(s + 2 for s in sizes), max(sizes) + 2)
-        diffuse = self._atlas(context, layout.IRRADIANCE_SIZE + 2, layout.IRRADIANCE_SIZE + 2)
+        rough = _atlas(context, sum(s + 2 for s in sizes), max(sizes) + 2)
+        diffuse = _atlas(context, layout.IRRADIANCE_SIZE + 2, layout.IRRADIANCE_SIZE + 2)
         self.resources["environment_rough"], self.resources["environment_diffuse"] = rough, diffuse
-        program = shaders.compute("sky_prefilter", features)
-        made_by = shaders.text("sky_prefilter"), bytes([sky_tree.VERSION]), str(context.device).encode()
-        name = content_cache.key(radiance.tobytes(), *made_by)
-        bytes_rough, bytes_diffuse = 8 * rough.width * rough.height, 8 * diffuse.width * diffuse.height
-        if kept := content_cache.read("sky", name, bytes_rough + bytes_diffuse):
-            rough.write(kept[:bytes_rough])
-            diffuse.write(kept[bytes_rough:])
-        else:
-            _convolve(context, program, radiance, rough, diffuse)
-            content_cache.write("sky", name, rough.read() + diffuse.read())
-
-    @staticmethod
-    def _atlas(context: Context, width: int, height: int) -> moderngl.Texture:
-        texture = context.gl.texture((width, height), 4, dtype="f2")
-        texture.repeat_x = texture.repeat_y = False
-        return texture
+        made = convolve(context, shaders, features, radiance)
+        rough.write(made[0])
+        diffuse.write(made[1])
 
     @property
     def bytes(self) -> int:
@@ -65,6 +52,36 @@ class Sky:
             if isinstance(texture, moderngl.Texture):
                 texture.release()
         self.resources.clear()
+
+
+def convolve(
+    context: Context, shaders: Shaders, features: Features, radiance: F32, keep: bool = True
+) -> tuple[bytes, bytes]:
+    """Surroundings, an equirect (H, W, 3), blurred: texels of the atlas of growing roughness, and of the cosine's.
+
+    keep: on disk, by content.
+    """
+    sizes = layout.PREFILTER_SIZES
+    rough = _atlas(context, sum(s + 2 for s in sizes), max(sizes) + 2)
+    diffuse = _atlas(context, layout.IRRADIANCE_SIZE + 2, layout.IRRADIANCE_SIZE + 2)
+    made_by = shaders.text("sky_prefilter"), bytes([sky_tree.VERSION]), str(context.device).encode()
+    name = content_cache.key(radiance.tobytes(), *made_by) if keep else ""
+    border = 8 * rough.width * rough.height
+    made = content_cache.read("sky", name, border + 8 * diffuse.width * diffuse.height) if keep else None
+    if made is None:
+        _convolve(context, shaders.compute("sky_prefilter", features), radiance, rough, diffuse)
+        made = rough.read() + diffuse.read()
+        if keep:
+            content_cache.write("sky", name, made)
+    rough.release()
+    diffuse.release()
+    return made[:border], made[border:]
+
+
+def _atlas(context: Context, width: int, height: int) -> moderngl.Texture:
+    texture = context.gl.texture((width, height), 4, dtype="f2")
+    texture.repeat_x = texture.repeat_y = False
+    return texture
 
 
 def _convolve(

@@ -3,10 +3,11 @@
 #include "lib/surface.glsl"
 #include "lib/light.glsl"
 #include "lib/environment.glsl"
+#include "lib/probe.glsl"
 #include "lib/shadow_map.glsl"
 #include "lib/low_discrepancy.glsl"
 
-#if USE_SPECULAR_SKY || USE_REFLECTIONS
+#if USE_SPECULAR_SKY || USE_REFLECTIONS || USE_PROBES
 uniform sampler2D dfg;    // (F0 scale, F90 bias) over (NoV, roughness): Karis, "Real Shading in Unreal Engine 4" (2013)
 
 vec3 specular_albedo(Bsdf b, vec3 v) {
@@ -106,9 +107,9 @@ vec3 diffuse_sky(Surface s) {
 vec3 indirect_light(Surface s, vec3 v, vec3 mirror_dir, vec3 traced, bool has_traced) {
     Bsdf b = s.bsdf;
     vec3 result = diffuse_sky(s);
-#if USE_SPECULAR_SKY || USE_REFLECTIONS
+#if USE_SPECULAR_SKY || USE_REFLECTIONS || USE_PROBES
     vec3 specular = vec3(0.0);
-    vec3 sky = SPECULAR_SKY ? environment_prefiltered(mirror_dir, b.roughness) : vec3(0.0);
+    vec3 sky = SPECULAR_SKY || PROBES ? surroundings(s.point.position, mirror_dir, b.roughness) : vec3(0.0);
     specular = has_traced ? (is_mirror(b) ? traced : mix(traced, sky, b.roughness)) : sky;
     result += specular_albedo(b, v) * specular;
 #endif
@@ -116,8 +117,8 @@ vec3 indirect_light(Surface s, vec3 v, vec3 mirror_dir, vec3 traced, bool has_tr
     if (CLEARCOAT && b.clearcoat > 0.0) {
         float f = coat_fresnel(b, v);
         result *= 1.0 - f;
-#if USE_SPECULAR_SKY || USE_REFLECTIONS
-        vec3 coat_sky = SPECULAR_SKY ? environment_prefiltered(mirror_dir, b.clearcoat_roughness) : vec3(0.0);
+#if USE_SPECULAR_SKY || USE_REFLECTIONS || USE_PROBES
+        vec3 coat_sky = SPECULAR_SKY || PROBES ? surroundings(s.point.position, mirror_dir, b.clearcoat_roughness) : vec3(0.0);
         if (dot(b.n_coat, v) > 0.0) result += f * (has_traced ? mix(traced, coat_sky, b.clearcoat_roughness) : coat_sky);
 #endif
     }

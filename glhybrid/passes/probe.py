@@ -1,0 +1,130 @@
+"""Reflection probes: cube maps captured in place, seen through boxes -> what specular lobes show.
+
+The faces are rendered by the renderer itself (glhybrid/probe_capture.py) with the sky in their own specular lobes: no
+inter-reflection. They are blurred like the sky. A probe answers for what lies in its box, as if all it saw lay on the
+walls; elsewhere the sky does. No tree is looked at, and a frame costs no pass: the image exists for AOVs only.
+"""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import moderngl
+import numpy as np
+
+from glhybrid import layout
+from glhybrid.context import Context
+from glhybrid.errors import SettingError
+from glhybrid.gpu_scene import GpuScene
+from glhybrid.needs import Features
+from glhybrid.passes.sky import convolve
+from glhybrid.probe_placement import equirect
+from glhybrid.scene import F64
+from glhybrid.scene import Probe as Placed
+from glhybrid.settings import Settings
+from glhybrid.shaders import Shaders
+from glhybrid.targets import Targets
+
+
+class Probe:
+    """Owns faces, blurred maps and boxes. `resources` has what lib/probe.glsl reads."""
+
+    name = "probe"
+
+    def __init__(
+        self, context: Context, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings
+    ) -> None:
+        self._context, self._shaders, self._scene, self._features = context, shaders, scene, features
+        self._program = shaders.compute("probe", features)
+        self._store = shaders.compute("probe_store", features)
+        self.resolution = int(settings.parameter("reflections.probe.resolution"))
+        self._blend = float(settings.parameter("reflections.probe.blend"))
+        self._reason = features.reason
+        self.placed: tuple[Placed, ...] = ()
+        self.stale = True  # nothing is captured, or not what is there now
+        self.ms = 0.0
+        self._owned: list[Any] = []
+        self.resources: dict[str, Any] = {}
+
+    @property
+    def face_size(self) -> int:
+        """Texels a side, a border texel on each included."""
+        return self.resolution + 2
+
+    def place(self, placed: tuple[Placed, ...]) -> None:
+        """Makes room for these, the smallest box first."""
+        if placed == self.placed:
+            return
+        limit, key = self._context.limits, "reflections.probe.resolution"
+        if 6 * len(placed) > limit.texture_layers or self.face_size > limit.texture_size:
+            raise SettingError(
+                f"{len(placed)} probes of {key} = {self.resolution} need {6 * len(placed)} layers of "
+                f"{self.face_size} texels a side; this device has {limit.texture_layers} of {limit.texture_size}"
+            )
+        self.release()
+        self.placed = tuple(sorted(placed, key=lambda p: float(np.prod(np.subtract(p.high, p.low)))))
+        gl, count = self._context.gl, len(placed)
+        sizes = layout.PREFILTER_SIZES
+        faces = gl.texture_array((self.face_size, self.face_size, 6 * count), 4, dtype="f2")
+        rough = gl.texture_array((sum(s + 2 for s in sizes), max(sizes) + 2, count), 4, dtype="f2")
+        for texture in (faces, rough):
+            texture.repeat_x = texture.repeat_y = False
+            texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
+        rows = gl.buffer(reserve=count * layout.dtype("Probe").itemsize)
+        self._owned = [faces, rough, rows]
+        self.resources = {
+            "probe_faces": faces, "probe_rough": rough, "Probes": rows, "probe_count": count,
+            "probe_blend": self._blend,
+        }  # fmt: skip
+
+    def store(self, probe: int, face: int, radiance: Any) -> None:
+        """A rendered face, face_size texels a side."""
+        given = {"radiance": radiance, "layer": 6 * probe + face, "out_faces": self.resources["probe_faces"]}
+        self._store.dispatch(given, (self.face_size, self.face_size))
+
+    def blur(self, keep: bool) -> None:
+        """Maps of all roughnesses, once the faces are stored. keep: on disk, by content."""
+        shape = len(self.placed), 6, self.face_size, self.face_size, 4
+        faces = np.frombuffer(self.resources["probe_faces"].read(), np.float16).reshape(shape)[..., :3]
+        rough = self.resources["probe_rough"]
+        for k in range(len(self.placed)):
+            around = equirect(faces[k].astype(np.float64), 1024, 512).astype(np.float32)
+            data = convolve(self._context, self._shaders, self._features, around, keep)[0]
+            rough.write(data, viewport=(0, 0, k, rough.width, rough.height, 1))
+
+    def look(self, origin: F64) -> None:
+        """Boxes in the world of this frame."""
+        rows = np.zeros(len(self.placed), layout.dtype("Probe"))
+        for row, probe in zip(rows, self.placed, strict=True):
+            row["position"], row["box_min"], row["box_max"] = (
+                np.asarray(p) - origin for p in (probe.position, probe.low, probe.high)
+            )
+        self.resources["Probes"].write(rows)
+
+    def timed(self, work: Callable[[], None]) -> None:
+        self._context.gl.finish()
+        start = time.perf_counter()
+        work()
+        self._context.gl.finish()
+        self.ms = (time.perf_counter() - start) * 1e3
+
+    def run(self, targets: Targets, ids: Any) -> Any:
+        """The image `reflection`, for AOVs."""
+        reflection = targets.get("reflection")
+        resources = {**self._scene.resources, "gbuffer_id": ids, "out_reflection": reflection}
+        if self._reason:
+            resources["out_reason"] = targets.get("reason")
+        self._program.dispatch(resources, targets.size)
+        return reflection
+
+    @property
+    def bytes(self) -> int:
+        images = [t for t in self._owned if isinstance(t, moderngl.TextureArray)]
+        return sum(8 * t.width * t.height * t.layers for t in images)
+
+    def release(self) -> None:
+        for owned in reversed(self._owned):
+            owned.release()
+        self._owned = []
+        self.resources = {}
+        self.placed = ()
