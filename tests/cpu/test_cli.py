@@ -146,7 +146,6 @@ def test_a_picture_on_standard_output(fake: _Recorder, capfdbinary: pytest.Captu
         (["render", "x", "--samples", "many"], "many"),
         (["render", "x", "--samples", "0"], "samples = 0"),
         (["render", "x", "--shadows", "rai"], 'did you mean "ray"'),
-        (["render", "x", "--reflections", "ray-glossy"], "not in this version"),
         (["render", "x", "--set", "sampels=3"], 'did you mean "samples"'),
         (["render", "x", "--set", "seed"], "key=value"),
         (["render", "x", "--config", "absent.toml"], "absent.toml"),

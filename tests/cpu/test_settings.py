@@ -58,7 +58,6 @@ def test_overrides(text: str, key: str, value: object) -> None:
         ("levels=3", "auto, 1, 2"),
         ("seed=-1", "from 0 to 4294967295"),
         ("shadows=rai", 'did you mean "ray"'),
-        ("reflections=ray-glossy", "not in this version"),
         ("parameters=1", "unknown setting"),
     ],
 )
