@@ -75,7 +75,7 @@ if ! [ -f "$stamp" ] || [ pyproject.toml -nt "$stamp" ] || ! [ -x .venv/bin/glhy
 fi
 
 # The tree builder compiles at its first use; that wait belongs here, not in front of somebody's first model.
-[ -z "${fresh:-}" ] || .venv/bin/python -c 'from glhybrid import bvh; bvh.warm_up()'
+[ -z "${fresh:-}" ] || .venv/bin/python -c 'from glhybrid import bvh, swarm; from glhybrid.bvh import top; bvh.warm_up()'
 
 if ! opengl_works; then
     apt_install "no OpenGL driver works yet, Mesa renders in software" libegl1 libegl-mesa0 libgl1-mesa-dri || true

@@ -16,6 +16,7 @@ from glhybrid.context import Context
 from glhybrid.errors import GeometryError
 from glhybrid.geometry import Geometry
 from glhybrid.gl import BufferTexture
+from glhybrid.keys import MANY
 from glhybrid.motion import Moment, Motion
 from glhybrid.needs import Features
 from glhybrid.scene import F32, F64, SRGB_SLOTS, TEXTURE_SLOTS, U32, Light, Material, Scene
@@ -38,10 +39,19 @@ EMPTY_TREE = np.array([[0, 0, 0, 0x80000000, 0, 0, 0, 0x80000000]], np.uint32)
 
 
 class GpuScene:
-    """Owns the GL objects of one scene. motion: what will move; trees that it deforms have room to be built anew."""
+    """Owns the GL objects of one scene. motion: what will move; trees that it deforms have room to be built anew.
+
+    rebuild: growth of the top-level tree's SAH cost that has it built anew, as Settings.rebuild.
+    """
 
     def __init__(
-        self, context: Context, scene: Scene, geometry: Geometry, features: Features, motion: Motion | None = None
+        self,
+        context: Context,
+        scene: Scene,
+        geometry: Geometry,
+        features: Features,
+        motion: Motion | None = None,
+        rebuild: float = 1.5,
     ) -> None:
         self._context = context
         self._owned: list[Any] = []
@@ -49,7 +59,16 @@ class GpuScene:
         self.resources: dict[str, Any] = {}
         self.draw_records: list[tuple[tuple[int, int], list[tuple[int, int, int, int]]]] = []
         self._world: F64 = geometry.world_from_object
-        self._inverse: F64 | None = None  # (I, 3, 3) of the linear part of _world
+        count = len(self._world)
+        self._inverse: F64 = np.empty((count, 3, 3))  # of the linear part of _world
+        self._flipped, self._boxes = np.zeros(count, bool), np.empty((count, 2, 3))
+        self._all_drawn = np.array_equal(geometry.instance_id, np.arange(len(scene.instances)))
+        movable = np.isin(geometry.instance_id, list(motion.moving)) if motion is not None else np.zeros(count, bool)
+        rows = np.flatnonzero(movable)
+        self._span = (int(rows[0]), int(rows[-1]) + 1) if len(rows) else (0, 0)  # rows that a move may change
+        self._stale = True  # moved since the last rebase
+        self._rebuild, self._built_cost = rebuild, np.inf
+        self.tops_built = 0  # top-level trees since the scene was loaded
         self._previous: F64 | None = None
         self._bounds = np.array([m.blas.bounds for m in geometry.meshes]).reshape(-1, 2, 3)
         self._depth = [m.blas.depth for m in geometry.meshes]
@@ -68,14 +87,17 @@ class GpuScene:
         ends = np.cumsum([0, *(len(m.blas.slots) for m in geometry.meshes)]).tolist()
         self._slot_first, self._node_first = ends, [*roots.tolist(), len(nodes)]
         self._slot_words = {row: _by_geometry(slots[ends[row] : ends[row + 1], 7]) for row in deforming if row >= 0}
+        self._roots = roots
+        self._instances = self._instance_rows()
+        self._place(0, count)
         self._tlas: Tlas | None = None
         self.top_root = 0
         if features.two_level and geometry.meshes:
             self._centre = scene.bounds().mean(0)
-            self._tlas = bvh.build_tlas(self._instance_boxes() - self._centre, moving=motion is not None)
+            self._tlas = bvh.build_tlas(self._boxes - self._centre, moving=motion is not None)
+            self._built_cost = self._tlas.sah_cost
             self.top_root = len(nodes)
             nodes = np.concatenate([nodes.reshape(-1, 8), self._top_nodes()])
-        self._roots = roots
         self.stack_entries = self.stack_needed(SPARE_LEVELS if motion is not None else 0)
         self._texels("nodes", nodes if len(nodes) else EMPTY_TREE)
         self._texels("slots", slots)
@@ -86,7 +108,6 @@ class GpuScene:
         if geometry.attributes is not None:
             self._texels("attributes", geometry.attributes)
         self._upload_tables(features)
-        self._instances = self._instance_rows()
         self.resources["Instances"] = self._buffer(self._instances.nbytes)
         self.lights = scene.lights if features.shadow_rays or features.visibility or scene.lights else ()
         self.resources["Lights"] = self._buffer(max(len(self.lights), 1) * layout.dtype("Light").itemsize)
@@ -124,29 +145,62 @@ class GpuScene:
     def rebase(self, origin: F64) -> None:
         """Moves the world so that `origin` (3,) float64 is zero, and uploads what that changes: matrices and lights."""
         if origin is self._origin or (self._origin is not None and np.array_equal(origin, self._origin)):
-            return
-        self._origin = origin
+            if not self._stale:
+                return
+            first, last = self._span
+        else:
+            first, last = 0, len(self._world)
+        self._origin, self._stale = origin, False
         if self._previous is not None:
             before = self._previous.copy()
             before[:, :3, 3] -= origin
             self.resources["PreviousInstances"].write(layout.columns(before[:, :3]))
-        if len(self._world):
-            inverse = self._inverse
-            if inverse is None:  # of what a translation leaves alone
-                inverse = self._inverse = np.asarray(np.linalg.inv(self._world[:, :3, :3]))
-                self._instances["world_from_object"][:, :3, :3] = self._world[:, :3, :3].swapaxes(1, 2)
-                self._instances["object_from_world"][:, :3, :3] = inverse.swapaxes(1, 2)
-            position = self._world[:, :3, 3] - origin
-            self._instances["world_from_object"][:, 3, :3] = position
-            self._instances["object_from_world"][:, 3, :3] = -np.einsum("iab,ib->ia", inverse, position)
-        self.resources["Instances"].write(self._instances)
+        if last > first:
+            self._rebase(origin, first, last)
+            rows = self._instances[first:last]
+            self.resources["Instances"].write(rows, offset=first * rows.itemsize)
         if self.lights:
             self.resources["Lights"].write(light_rows(self.lights, origin))
+
+    def _rebase(self, origin: F64, first: int, last: int) -> None:
+        """The positions of instances first..last-1, in the rows to be uploaded."""
+        if len(self._world) >= MANY:
+            from glhybrid import swarm
+
+            given = (self._world, self._inverse, np.ascontiguousarray(origin, np.float64))
+            words = swarm.words_of(self._instances)
+            swarm.spread(lambda a, b: swarm.rebase(*given, a, b, words), first, last)
+            return
+        position = self._world[first:last, :3, 3] - origin
+        rows = self._instances[first:last]
+        rows["world_from_object"][:, 3, :3] = position
+        rows["object_from_world"][:, 3, :3] = -np.einsum("iab,ib->ia", self._inverse[first:last], position)
+
+    def _place(self, first: int, last: int) -> None:
+        """What a translation leaves alone of instances first..last-1: linear parts, handedness; and their boxes."""
+        world, rows = self._world[first:last], self._instances[first:last]
+        if len(self._world) >= MANY:
+            from glhybrid import swarm
+
+            given = (self._world, self._bounds, self.geometry.instance_mesh)
+            out = (swarm.words_of(self._instances), self._inverse, self._flipped.view(np.uint8), self._boxes)
+            swarm.spread(lambda a, b: swarm.place(*given, a, b, *out), first, last)
+        else:
+            inverse = self._inverse[first:last] = np.linalg.inv(world[:, :3, :3])
+            rows["world_from_object"][:, :3, :3] = world[:, :3, :3].swapaxes(1, 2)
+            rows["object_from_world"][:, :3, :3] = inverse.swapaxes(1, 2)
+            self._flipped[first:last] = np.linalg.det(world[:, :3, :3]) < 0
+            boxes = self._bounds[self.geometry.instance_mesh[first:last]]
+            centre, half = boxes.mean(1), np.diff(boxes, axis=1)[:, 0] / 2
+            centre = np.einsum("iab,ib->ia", world[:, :3, :3], centre) + world[:, :3, 3]
+            half = np.einsum("iab,ib->ia", np.abs(world[:, :3, :3]), half)
+            self._boxes[first:last] = np.stack([centre - half, centre + half], axis=1)
+        rows["flipped"] = self._flipped[first:last]
 
     def relight(self, lights: tuple[Light, ...]) -> None:
         """Other lights, as many as before; the next rebase uploads them."""
         if self.lights and lights != self.lights:
-            self.lights, self._origin = lights, None
+            self.lights, self._stale = lights, True
 
     def move(self, moment: Moment, trees: dict[int, MovedTree]) -> None:
         """Everything where a moment has it: instances, lights, the top-level tree. The next rebase uploads matrices.
@@ -157,18 +211,33 @@ class GpuScene:
         if "PreviousInstances" in self.resources:
             self._previous = self._world
         self.lights = moment.lights if self.lights else ()
-        self._origin = None
+        self._stale = True
         if not len(geometry.instance_id):
             return
-        self._world, self._inverse = moment.world_from_object[geometry.instance_id], None
+        world = moment.world_from_object
+        self._world = world if self._all_drawn else world[geometry.instance_id]
         for mesh, tree in trees.items():
             self._bounds[mesh] = tree.bounds
             ours = geometry.instance_mesh == mesh
             rows["grid_min"][ours], rows["grid_step"][ours] = tree.grid_min, tree.grid_step
-        rows["flipped"] = self.flipped
-        boxes = self._instance_boxes()
+        self._place(*self._span)
+        self._move_top()
+
+    def _move_top(self) -> None:
+        """The top-level tree over the boxes as they are: refitted, or built anew once that has made it worse."""
+        boxes, old = self._boxes, self._tlas
         self._centre = (boxes[:, 0].min(0) + boxes[:, 1].max(0)) / 2
-        self._tlas = bvh.build_tlas(boxes - self._centre, moving=True)
+        moved = boxes - self._centre
+        tree = None
+        if old is not None and len(boxes) >= MANY and self._rebuild != 1:
+            tree = bvh.refit_tlas(old, moved)
+            if self._rebuild and tree.sah_cost > self._rebuild * self._built_cost:
+                tree = None
+        if tree is None:
+            tree = bvh.build_tlas(moved, moving=True)
+            self._built_cost = tree.sah_cost
+            self.tops_built += 1
+        self._tlas = tree
         self.resources["nodes"].buffer.write(self._top_nodes(), offset=self.top_root * 32)
 
     def keep_previous(self, vertices: bool) -> None:
@@ -176,7 +245,7 @@ class GpuScene:
         if "PreviousInstances" not in self.resources:
             size = max(len(self._world), 1) * layout.dtype("Placement").itemsize
             self.resources["PreviousInstances"] = self._buffer(size)
-            self._previous, self._origin = self._world, None
+            self._previous, self._stale = self._world, True
         if vertices and "previous_vertices" not in self.resources:
             self._texels("previous_vertices", self.geometry.vertices)
             self.copy_vertices()
@@ -195,7 +264,7 @@ class GpuScene:
     @property
     def flipped(self) -> np.ndarray:
         """(I,) bool: instances turned inside out, whose front faces turn clockwise."""
-        return np.asarray(np.linalg.det(self._world[:, :3, :3]) < 0)
+        return self._flipped.copy()
 
     def mesh_of_instance(self, number: int) -> int:
         """Row of geometry.meshes of a row of Scene.instances; -1 if nothing of it is drawn."""
@@ -290,18 +359,8 @@ class GpuScene:
         rows["grid_step"] = np.stack([m.blas.grid_step for m in geometry.meshes])[mesh]
         rows["root"] = np.asarray(self._roots, np.uint32)[mesh]
         rows["first_record"] = geometry.first_record
-        rows["flipped"] = np.linalg.det(geometry.world_from_object[:, :3, :3]) < 0
         rows["id"] = geometry.instance_id
         return rows
-
-    def _instance_boxes(self) -> F64:
-        """(I, 2, 3) float64 world boxes."""
-        boxes = self._bounds[self.geometry.instance_mesh]
-        pose = self._world
-        centre, half = boxes.mean(1), np.diff(boxes, axis=1)[:, 0] / 2
-        centre = np.einsum("iab,ib->ia", pose[:, :3, :3], centre) + pose[:, :3, 3]
-        half = np.einsum("iab,ib->ia", np.abs(pose[:, :3, :3]), half)
-        return np.stack([centre - half, centre + half], axis=1)
 
     def _slot_flags(self, geometry: np.ndarray) -> np.ndarray:
         """SLOT_* bits: what the hit groups of a geometry say, so that plain triangles need no look at their record."""

@@ -17,6 +17,9 @@ def sample(channel: Channel, time: float) -> F64:
     return Tracks((channel,)).at(time)[0]
 
 
+MANY = 1024  # channels, nodes or instances from which on compiled code (swarm.py) is worth loading
+
+
 class Tracks:
     """Channels of one path, interpolation and number of values, end to end.
 
@@ -39,6 +42,8 @@ class Tracks:
 
     def at(self, time: float) -> F64:
         """(C, W) float64."""
+        if len(self.nodes) >= MANY:
+            return self._compiled(float(time))
         after = self._after(float(time))
         before = np.maximum(after - 1, self._first)
         cubic = self.interpolation == "CUBICSPLINE"
@@ -50,6 +55,21 @@ class Tracks:
             else:
                 value[between] = self._between(before[between], after[between], time)
         return unit_quaternions(value) if cubic and self._turns else value
+
+    def _compiled(self, time: float) -> F64:
+        from glhybrid import swarm
+
+        values = self._values if self.interpolation == "CUBICSPLINE" else self._values[:, None]
+        turn = {"LINEAR": "SLERP", "CUBICSPLINE": "CUBIC_TURN"} if self._turns else {}
+        kind = swarm.KINDS[turn.get(self.interpolation, self.interpolation)]
+        out = np.empty((len(self.nodes), values.shape[2]))
+        swarm.spread(
+            lambda first, last: swarm.sample(
+                self._times, values, self._first, self._end, time, kind, first, last, out
+            ),
+            0, len(out),
+        )  # fmt: skip
+        return out
 
     def _after(self, time: float) -> Any:
         """(C,) row of each channel's first key later than the time; its end if there is none."""

@@ -12,6 +12,7 @@ import numpy as np
 from glhybrid import pose as posing
 from glhybrid.deform import Deformer, deformers, influences, morph_weights, posed
 from glhybrid.errors import GeometryError
+from glhybrid.keys import MANY
 from glhybrid.pose import Pose
 from glhybrid.scene import F64, Animation, Camera, Light, Scene, Triangles
 from glhybrid.settings import Settings
@@ -71,10 +72,12 @@ class Motion:
         rest = posing.Pose(self._player.rest, {})
         self._lists = scene.replace(instances=())  # what place() moves object by object: lights and cameras
         moving = posing.moving_nodes(scene, clip)
+        self._lists_move = not moving.isdisjoint([*(p.node for p in scene.lights), *(c.node for c in scene.cameras)])
         rows = [i for i, p in enumerate(scene.instances) if p.skin < 0 and p.node in moving]
         self._rows = np.array(rows, np.int64)
         self._nodes = np.array([scene.instances[i].node for i in rows], np.int64)
-        self._local = np.array([_local(scene, i, rest.world) for i in rows]).reshape(-1, 4, 4)
+        self._local = _local(scene, self._rows, self._nodes, rest.world)
+        self._plain = (self._local == np.eye(4)).all((1, 2))
         self._skinned = [(i, p.skin) for i, p in enumerate(scene.instances) if p.skin >= 0]
         start = posed(scene, rest, self.deformers)
         self._still = np.array([p.world_from_object for p in start.instances]).reshape(-1, 4, 4)
@@ -86,6 +89,12 @@ class Motion:
         self.still = not (rows or self._skinned or self.deformers or lit)  # but for cameras
 
     @property
+    def moving(self) -> frozenset[int]:
+        """Rows of Scene.instances that may be elsewhere, or of another shape, at another time."""
+        skinned = (row for row, _ in self._skinned)
+        return frozenset([*self._rows.tolist(), *skinned, *(i for d in self.deformers for i in d.instances)])
+
+    @property
     def deforming(self) -> frozenset[int]:
         """Rows of start.meshes whose vertices move."""
         return frozenset(self.start.instances[d.instances[0]].mesh for d in self.deformers)
@@ -93,13 +102,27 @@ class Motion:
     def at(self, time: float) -> Moment:
         """Everything that moves, at a time in seconds."""
         pose = self._player.at(time)
-        world = self._still.copy()
-        world[self._rows] = _invertible(pose.world[self._nodes] @ self._local)
+        world = np.empty_like(self._still) if len(self._rows) == len(self._still) else self._still.copy()
+        self._carry(pose.world, world)
         for row, skin in self._skinned:
             world[row, :3, 3] = posing.anchor(self.scene, pose, skin)
-        placed = posing.place(self._lists, pose, self._player.rest)
+        placed = posing.place(self._lists, pose, self._player.rest) if self._lists_move else self._lists
         shapes = tuple(self._shape(d, b, pose) for d, b in zip(self.deformers, self._boxes, strict=True))
         return Moment(time, world, placed.lights, placed.cameras, shapes)
+
+    def _carry(self, nodes: F64, world: F64) -> None:
+        """Puts what moves rigidly where its nodes are."""
+        if len(self._rows) < MANY:
+            here = nodes[self._nodes]
+            world[self._rows] = _invertible(here if self._plain.all() else here @ self._local)
+            return
+        from glhybrid import swarm
+
+        flat = np.zeros(len(self._rows), np.uint8)
+        given = (nodes, self._nodes, self._local, self._plain.view(np.uint8), self._rows)
+        swarm.spread(lambda first, last: swarm.carry(*given, first, last, world, flat), 0, len(flat))
+        for row in self._rows[np.flatnonzero(flat)]:
+            world[row] = posing.invertible(world[row])
 
     @cached_property
     def bounds(self) -> F64:
@@ -177,15 +200,17 @@ def _grow(boxes: F64, joint: np.ndarray, position: np.ndarray) -> None:
     np.maximum.at(boxes[1], joint, position)
 
 
-def _local(scene: Scene, row: int, rest: F64) -> F64:
-    """(4, 4) node_from_object of an instance: identity but for one of many at a node."""
-    instance = scene.instances[row]
-    old = rest[instance.node]
-    if np.allclose(instance.world_from_object, old, rtol=1e-9, atol=1e-12):
-        return np.eye(4)
-    if abs(np.linalg.det(old)) < 1e-30:
-        posing.refuse_flat(scene, instance)
-    return np.asarray(np.linalg.inv(old) @ instance.world_from_object)
+def _local(scene: Scene, rows: np.ndarray, nodes: np.ndarray, rest: F64) -> F64:
+    """(R, 4, 4) node_from_object of instances: identity but where one node has several of its own places."""
+    local = np.tile(np.eye(4), (len(rows), 1, 1))
+    given = np.array([scene.instances[i].world_from_object for i in rows]).reshape(-1, 4, 4)
+    old = rest[nodes]
+    apart = (np.abs(given - old) > 1e-12 + 1e-9 * np.abs(old)).any((1, 2))
+    for k in np.flatnonzero(apart):
+        if abs(np.linalg.det(old[k])) < 1e-30:
+            posing.refuse_flat(scene, scene.instances[rows[k]])
+        local[k] = np.linalg.inv(old[k]) @ given[k]
+    return local
 
 
 def _invertible(world: F64) -> F64:

@@ -93,33 +93,57 @@ class Player:
         self.rest = _world(scene.nodes, self._local)
         moved = {c.node for c in clip.channels if c.path != "weights"}
         self._posed = np.array(sorted(n for n in moved if scene.nodes[n].matrix is None), np.int64)
+        self._is_posed = np.zeros(len(scene.nodes), np.uint8)
+        self._is_posed[self._posed] = 1
         moving = np.zeros(len(scene.nodes), bool)
         moving[list(moving_nodes(scene, clip))] = True
         parent = _parents(scene.nodes)
         levels = [level[moving[level]] for level in _levels(parent)]
         self._levels = [(level, parent[level]) for level in levels if len(level)]
+        self._all_move = bool(moving.all())
 
     def at(self, time: float) -> Pose:
         """The pose at a time in seconds. Raises GeometryError where it is not finite."""
-        place = {path: values.copy() for path, values in self._place.items()}
+        moved = {group.path for group in self._tracks}
+        place = {path: values.copy() if path in moved else values for path, values in self._place.items()}
         weights: dict[int, F64] = {}
         for path, nodes, values in keys.sampled(self._tracks, time):
             if path == "weights":
                 weights |= zip(nodes.tolist(), values, strict=True)
             else:
                 place[path][nodes] = values
-        local, posed = self._local.copy(), self._posed
-        local[posed] = trs_matrices(*(place[path][posed] for path in ("translation", "rotation", "scale")))
-        world = self.rest.copy()
-        for nodes, parents in self._levels:
-            world[nodes] = local[nodes] if parents[0] < 0 else world[parents] @ local[nodes]
-        if not np.isfinite(world).all():
-            node = int(np.argmin(np.isfinite(world).all((1, 2))))
+        world = np.empty_like(self.rest) if self._all_move else self.rest.copy()
+        bad = (self._chain_compiled if len(self._posed) >= keys.MANY else self._chain)(place, world)
+        if bad >= 0:
             raise GeometryError(
-                f'{self._scene.name}: clip "{self._clip.name}" at {time:g} s puts node {node} '
-                f'"{self._scene.nodes[node].name}" nowhere: its matrix is not finite'
+                f'{self._scene.name}: clip "{self._clip.name}" at {time:g} s puts node {bad} '
+                f'"{self._scene.nodes[bad].name}" nowhere: its matrix is not finite'
             )
         return Pose(world, weights)
+
+    def _chain(self, place: dict[str, F64], world: F64) -> int:
+        """Fills world (N, 4, 4) from translations, rotations and scales; returns a node that is nowhere, or -1."""
+        local, posed = self._local.copy(), self._posed
+        local[posed] = trs_matrices(*(place[path][posed] for path in ("translation", "rotation", "scale")))
+        with np.errstate(invalid="ignore"):  # what is nowhere is found below
+            for nodes, parents in self._levels:
+                world[nodes] = local[nodes] if parents[0] < 0 else world[parents] @ local[nodes]
+        fine = np.isfinite(world).all((1, 2))
+        return -1 if fine.all() else int(np.argmin(fine))
+
+    def _chain_compiled(self, place: dict[str, F64], world: F64) -> int:
+        """The same for thousands of nodes."""
+        from glhybrid import swarm
+
+        placed = (place["translation"], place["rotation"], place["scale"], self._is_posed, self._local)
+        bad = -1
+        for nodes, parents in self._levels:
+            parts = swarm.spread(
+                lambda first, last: swarm.pose_level(*placed, nodes, parents, first, last, world),  # noqa: B023
+                0, len(nodes),
+            )  # fmt: skip
+            bad = max(bad, *parts)
+        return bad
 
 
 def moving_nodes(scene: Scene, clip: Animation) -> frozenset[int]:

@@ -228,7 +228,7 @@ class Staged:
                 scene, self.plan.levels, tangents=features.tangents, attributes=features.extra_attributes,
                 deforming=moving.deforming if moving is not None else frozenset(),
             )  # fmt: skip
-            upload = GpuScene(context, scene, data, features, moving)
+            upload = GpuScene(context, scene, data, features, moving, settings.rebuild)
         self.upload = upload
         others = dict(upload.resources)
         if moving is not None and self.mover is None:

@@ -61,19 +61,7 @@ def build_tlas(boxes: F32 | F64, moving: bool = False, threads: int | None = Non
     where there is no instance, or a box is empty, not finite or past 1e30; it names the instance.
     """
     started = time.perf_counter()
-    boxes = np.ascontiguousarray(boxes, np.float64).reshape(-1, 2, 3)
-    if not len(boxes):
-        raise GeometryError("no instance to build a tree from")
-    if len(boxes) >= MAX_SLOTS:
-        raise GeometryError(f"{len(boxes)} instances, the limit is {MAX_SLOTS} (2^27); merge some meshes")
-    good = (np.abs(boxes) <= MAX_EXTENT).all((1, 2)) & (boxes[:, 0] <= boxes[:, 1]).all(1)
-    if not good.all():
-        bad = int(np.argmin(good))
-        low, high = boxes[bad].tolist()
-        raise GeometryError(f"instance {bad}: its box {low} to {high} is empty, not finite or past {MAX_EXTENT:g}")
-    low, high = boxes[:, 0].min(0), boxes[:, 1].max(0)
-    pad = PAD * float(np.maximum(np.abs(low), np.abs(high)).max())
-    grid = make_grid(low, high, pad)
+    boxes, grid, pad = _checked(boxes)
     fragments = box_fragments(boxes[:, 0] - pad, boxes[:, 1] + pad, *grid)
     if len(boxes) <= (FEW if moving else SMALL):
         tree = grow_small(fragments, grid[1], max_leaf=1)
@@ -88,3 +76,34 @@ def build_tlas(boxes: F32 | F64, moving: bool = False, threads: int | None = Non
     leaf = (refs > LEAF) & (refs & 15 > 0)
     refs[leaf] = LEAF | identity(fragments)[(refs[leaf] & 0x7FFFFFFF) >> 4] << 4 | 1
     return Tlas(tree.nodes, *grid, boxes, tree.depth, tree.cost, 1e3 * (time.perf_counter() - started))
+
+
+def refit_tlas(tlas: Tlas, boxes: F32 | F64) -> Tlas:
+    """The same tree over instances that have moved (100,000: 3 ms); its `sah_cost` says how much worse it is now.
+
+    boxes, padding and errors as in build_tlas. Two instances or more, as many as before.
+    """
+    started = time.perf_counter()
+    from glhybrid.bvh import top
+
+    boxes, grid, pad = _checked(boxes)
+    assert len(boxes) == len(tlas.boxes) > 1
+    nodes, cost = top.refitted(tlas.nodes, boxes, *grid, pad)
+    return Tlas(nodes, *grid, boxes, tlas.depth, cost, 1e3 * (time.perf_counter() - started))
+
+
+def _checked(boxes: F32 | F64) -> tuple[F64, tuple[F32, F32], float]:
+    """(I, 2, 3) float64 boxes that a tree can be built over, its grid, and by how much they are to be padded."""
+    boxes = np.ascontiguousarray(boxes, np.float64).reshape(-1, 2, 3)
+    if not len(boxes):
+        raise GeometryError("no instance to build a tree from")
+    if len(boxes) >= MAX_SLOTS:
+        raise GeometryError(f"{len(boxes)} instances, the limit is {MAX_SLOTS} (2^27); merge some meshes")
+    good = (np.abs(boxes) <= MAX_EXTENT).all((1, 2)) & (boxes[:, 0] <= boxes[:, 1]).all(1)
+    if not good.all():
+        bad = int(np.argmin(good))
+        low, high = boxes[bad].tolist()
+        raise GeometryError(f"instance {bad}: its box {low} to {high} is empty, not finite or past {MAX_EXTENT:g}")
+    low, high = boxes[:, 0].min(0), boxes[:, 1].max(0)
+    pad = PAD * float(np.maximum(np.abs(low), np.abs(high)).max())
+    return boxes, make_grid(low, high, pad), pad

@@ -98,7 +98,7 @@ class MovingTracer(Tracer):
         )  # fmt: skip
         steps = 1 << 20 if context.device.software else 3
         found = found.replace(two_level=True, bvh_inner_steps=steps)
-        self.upload = GpuScene(context, self.motion.start, self.geometry, found, self.motion)
+        self.upload = GpuScene(context, self.motion.start, self.geometry, found, self.motion, rebuild)
         self.features = found.replace(bvh_stack=self.upload.stack_entries)
         self.mover = Mover(context, self.shaders, self.upload, self.motion, found, rebuild)
         self.origin = np.round(self.motion.bounds.mean(0))

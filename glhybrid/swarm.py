@@ -1,0 +1,238 @@
+"""Poses of thousands of nodes and instances a frame, compiled. Import it only where there are that many (MANY).
+
+Each function does what NumPy does elsewhere for few, in one pass over memory and on all cores: keys.Tracks.at,
+pose.Player.at, motion.Motion.at and GpuScene.move. Tests hold the two against each other.
+"""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numba import njit, types
+
+from glhybrid.jit import kernel
+from glhybrid.scene import F32
+
+TASK = 8192  # elements under which a range is not worth another thread
+KINDS = {"STEP": 0, "LINEAR": 1, "SLERP": 2, "CUBICSPLINE": 3, "CUBIC_TURN": 4}
+_f1, _f2, _f3 = (types.Array(types.float64, n, "C", readonly=True) for n in (1, 2, 3))
+_i1 = types.Array(types.int64, 1, "C", readonly=True)
+_bytes = types.Array(types.uint8, 1, "C", readonly=True)
+
+
+def spread(function: Callable[[int, int], Any], first: int, last: int) -> list[Any]:
+    """function(first, last) over parts of a range, one a core."""
+    parts = min(_cores(), max((last - first) // TASK, 1))
+    edges = np.linspace(first, last, parts + 1).astype(int).tolist()
+    if parts == 1:
+        return [function(first, last)]
+    return list(_pool().map(lambda k: function(edges[k], edges[k + 1]), range(parts)))
+
+
+@lru_cache(1)
+def _cores() -> int:
+    return min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, 16)
+
+
+@lru_cache(1)
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(_cores(), "glhybrid-swarm")
+
+
+@kernel(types.void(_f1, _f3, _i1, _i1, types.float64, types.int64, types.int64, types.int64, types.float64[:, ::1]))
+def sample(times, values, starts, ends, time, kind, first, last, out):  # type: ignore[no-untyped-def]
+    """Channels first..last-1 at a time -> out (C, W). values: (K, 1 or 3, W); rotations unit but for cubic ones."""
+    width = out.shape[1]
+    for c in range(first, last):
+        low, high = starts[c], ends[c]
+        while low < high:
+            middle = (low + high) >> 1
+            if times[middle] > time:
+                high = middle
+            else:
+                low = middle + 1
+        before = max(low - 1, starts[c])
+        key = 1 if kind >= 3 else 0
+        if kind == 0 or low == starts[c] or low == ends[c]:
+            for w in range(width):
+                out[c, w] = values[before, key, w]
+        else:
+            step = times[low] - times[before]
+            u = (time - times[before]) / step
+            a, b = 1 - u, u
+            if kind == 2:
+                dot = 0.0
+                for w in range(4):
+                    dot += values[before, 0, w] * values[low, 0, w]
+                sign = -1.0 if dot < 0 else 1.0
+                apart, together = 0.0, 0.0
+                for w in range(4):
+                    apart += (values[before, 0, w] - sign * values[low, 0, w]) ** 2
+                    together += (values[before, 0, w] + sign * values[low, 0, w]) ** 2
+                angle = 2 * np.arctan2(np.sqrt(apart), np.sqrt(together))
+                if angle >= 1e-9:
+                    sine = np.sin(angle)
+                    a, b = np.sin(a * angle) / sine, np.sin(b * angle) / sine
+                b *= sign
+            if kind >= 3:
+                p, q = 2 * u**3 - 3 * u**2 + 1, (u**3 - 2 * u**2 + u) * step
+                r, s = 3 * u**2 - 2 * u**3, (u**3 - u**2) * step
+                for w in range(width):
+                    out[c, w] = (
+                        p * values[before, 1, w] + q * values[before, 2, w]
+                        + r * values[low, 1, w] + s * values[low, 0, w]
+                    )  # fmt: skip
+            else:
+                for w in range(width):
+                    out[c, w] = a * values[before, 0, w] + b * values[low, 0, w]
+        if kind == 2 or kind == 4:
+            length = np.sqrt(out[c, 0] ** 2 + out[c, 1] ** 2 + out[c, 2] ** 2 + out[c, 3] ** 2)
+            for w in range(4):
+                if length > 1e-30:
+                    out[c, w] /= length
+                else:
+                    out[c, w] = 1.0 if w == 3 else 0.0
+
+
+@kernel(
+    types.int64(
+        _f2, _f2, _f2, _bytes, _f3, _i1, _i1, types.int64, types.int64, types.float64[:, :, ::1]
+    )
+)  # fmt: skip
+def pose_level(translation, rotation, scale, posed, local, nodes, parents, first, last, world):  # type: ignore[no-untyped-def]
+    """world_from_node of nodes[first:last], whose parents are done. posed: nodes whose T, R, S count, not `local`.
+
+    Returns a node whose matrix is not finite, -1 if there is none.
+    """
+    bad = -1
+    m = np.empty((3, 4))
+    for k in range(first, last):
+        node, parent = nodes[k], parents[k]
+        if posed[node]:
+            x, y, z, w = rotation[node, 0], rotation[node, 1], rotation[node, 2], rotation[node, 3]
+            m[0, 0], m[0, 1], m[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
+            m[1, 0], m[1, 1], m[1, 2] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
+            m[2, 0], m[2, 1], m[2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
+            for i in range(3):
+                for j in range(3):
+                    m[i, j] *= scale[node, j]
+                m[i, 3] = translation[node, i]
+        else:
+            for i in range(3):
+                for j in range(4):
+                    m[i, j] = local[node, i, j]
+        total = 0.0
+        for i in range(3):
+            for j in range(4):
+                value = m[i, j]
+                if parent >= 0:
+                    value = (
+                        world[parent, i, 0] * m[0, j] + world[parent, i, 1] * m[1, j] + world[parent, i, 2] * m[2, j]
+                    )
+                    if j == 3:
+                        value += world[parent, i, 3]
+                world[node, i, j] = value
+                total += value
+        world[node, 3, 0] = world[node, 3, 1] = world[node, 3, 2] = 0.0
+        world[node, 3, 3] = 1.0
+        if not np.isfinite(total):
+            bad = node
+    return bad
+
+
+@njit
+def determinant(m):  # type: ignore[no-untyped-def]
+    """Of the linear part."""
+    return (
+        m[0, 0] * (m[1, 1] * m[2, 2] - m[1, 2] * m[2, 1]) - m[0, 1] * (m[1, 0] * m[2, 2] - m[1, 2] * m[2, 0])
+        + m[0, 2] * (m[1, 0] * m[2, 1] - m[1, 1] * m[2, 0])
+    )  # fmt: skip
+
+
+@kernel(
+    types.int64(
+        _f3, _i1, _f3, _bytes, _i1, types.int64, types.int64, types.float64[:, :, ::1], types.uint8[::1]
+    )
+)  # fmt: skip
+def carry(world, nodes, local, plain, rows, first, last, out, flat):  # type: ignore[no-untyped-def]
+    """out[rows[k]] = world[nodes[k]] @ local[k], k from first to last - 1; plain: where local is the identity.
+
+    flat: set where the result may have no volume; returns how many.
+    """
+    count = 0
+    for k in range(first, last):
+        node, row = nodes[k], rows[k]
+        for i in range(3):
+            for j in range(4):
+                value = world[node, i, j]
+                if not plain[k]:
+                    value = (
+                        world[node, i, 0] * local[k, 0, j] + world[node, i, 1] * local[k, 1, j]
+                        + world[node, i, 2] * local[k, 2, j]
+                    )  # fmt: skip
+                    if j == 3:
+                        value += world[node, i, 3]
+                out[row, i, j] = value
+        out[row, 3, 0] = out[row, 3, 1] = out[row, 3, 2] = 0.0
+        out[row, 3, 3] = 1.0
+        m = out[row]
+        size = 0.0
+        for i in range(3):
+            for j in range(3):
+                size += m[i, j] * m[i, j]
+        flat[k] = abs(determinant(m)) <= 1e-6 * size * np.sqrt(size)
+        count += flat[k]
+    return count
+
+
+@kernel(
+    types.void(
+        types.float64[:, :, ::1], _f3, types.Array(types.uint32, 1, "C", readonly=True), types.int64, types.int64,
+        types.float32[:, ::1], types.float64[:, :, ::1], types.uint8[::1], types.float64[:, :, ::1],
+    )
+)  # fmt: skip
+def place(world, bounds, mesh, first, last, words, inverse, flipped, boxes):  # type: ignore[no-untyped-def]
+    """Instances first..last-1: the linear parts of both matrices in `words`, the rows of layout Instance as float32;
+    inverse (I, 3, 3); flipped: mirrored; boxes (I, 2, 3), world, of bounds (M, 2, 3) by mesh."""
+    for k in range(first, last):
+        m, inv = world[k], inverse[k]
+        det = determinant(m)
+        flipped[k] = det < 0
+        for i in range(3):
+            a, b = (i + 1) % 3, (i + 2) % 3
+            for j in range(3):
+                c, d = (j + 1) % 3, (j + 2) % 3
+                inv[j, i] = (m[a, c] * m[b, d] - m[a, d] * m[b, c]) / det
+        for i in range(3):
+            middle, half = m[i, 3], 0.0
+            for j in range(3):
+                words[k, 4 * j + i] = m[i, j]  # columns first, as GLSL has it
+                words[k, 16 + 4 * j + i] = inv[i, j]
+                low, high = bounds[mesh[k], 0, j], bounds[mesh[k], 1, j]
+                middle += m[i, j] * (low + high) / 2
+                half += abs(m[i, j]) * (high - low) / 2
+            boxes[k, 0, i], boxes[k, 1, i] = middle - half, middle + half
+
+
+@kernel(
+    types.void(types.float64[:, :, ::1], types.float64[:, :, ::1], _f1, types.int64, types.int64, types.float32[:, ::1])
+)
+def rebase(world, inverse, origin, first, last, words):  # type: ignore[no-untyped-def]
+    """The positions of both matrices, for a world whose zero is origin (3,)."""
+    for k in range(first, last):
+        x, y, z = world[k, 0, 3] - origin[0], world[k, 1, 3] - origin[1], world[k, 2, 3] - origin[2]
+        words[k, 12], words[k, 13], words[k, 14] = x, y, z
+        for i in range(3):
+            words[k, 28 + i] = -(inverse[k, i, 0] * x + inverse[k, i, 1] * y + inverse[k, i, 2] * z)
+
+
+def words_of(rows: np.ndarray) -> F32:
+    """Rows of layout Instance as (I, floats) float32, sharing memory."""
+    assert (rows.dtype.names or ())[:2] == (
+        "world_from_object",
+        "object_from_world",
+    )  # as `place` has it: 64 bytes each
+    return rows.view(np.float32).reshape(len(rows), -1)
