@@ -257,6 +257,9 @@ def study(
     *scene: Annotated[str, Parameter(help="Scenes as elsewhere; by default atrium, plaza and showroom.")],
     output: Annotated[str, Parameter(name=["--output", "-o"], help="Folder of the report; what is there is kept.")],
     quick: Annotated[bool, Parameter(help="Ten minutes on two cores: small pictures, few values, two scenes.")] = False,
+    paper: Annotated[
+        bool, Parameter(help="Kim's paper again: its method against many rays, at 1920x1080, and its figure 8.")
+    ] = False,
     device: Annotated[str, Parameter(help="auto, gpu, software, egl:N, cuda:N or osmesa.")] = "auto",
     size: Annotated[
         str | None, Parameter(help="Pixels, WxH; 1920x1080 on a GPU, else 640x360; 960x540 or 256x144 with --quick.")
@@ -279,7 +282,8 @@ def study(
     show = not (quiet or json)
     with console.progress(show) as progress:
         found = studies.run(
-            scene, Path(output), quick=quick, device=device, size=pixels, camera=Common(camera=camera).camera_key(),
+            scene, Path(output), quick=quick, paper=paper, device=device, size=pixels,
+            camera=Common(camera=camera).camera_key(),
             only=techniques.split(","), samples=samples, bounces=bounces, command=_command(), load=common.load,
             progress=progress, lines=show and not sys.stderr.isatty(),
         )  # fmt: skip

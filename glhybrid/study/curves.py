@@ -1,6 +1,6 @@
 """Error of every technique over one parameter of a small scene, and where each breaks.
 
-Shadows are held against float64 rays on the CPU (truth.py), reflections against the converged path tracer.
+Shadows are held against float64 rays on the CPU (oracle.py), reflections against the converged path tracer.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,8 +16,8 @@ from glhybrid.renderer import Renderer
 from glhybrid.scene import F32, Camera, Scene
 from glhybrid.settings import Settings
 from glhybrid.study import metrics, picture, reference, stability, stages, store, sweep
+from glhybrid.study.oracle import Oracle
 from glhybrid.study.progress import Meter
-from glhybrid.study.truth import Truth
 
 QUICK_SIZE, SIZE = (120, 90), (240, 180)
 MOTION_FRAMES = 6
@@ -53,9 +53,9 @@ class Curve:
 
 def wrong_shadow(renderer: Renderer, scene: Scene, camera: Camera, size: Size, _: float) -> Errors:
     """Per cent of pixels that face the light and are on the wrong side of one half."""
-    truth = Truth(scene)
-    seen = truth.seen(camera, size)
-    counted, want = truth.facing(seen, scene.lights[0]), truth.visibility(seen, scene.lights[0])
+    oracle = Oracle(scene)
+    seen = oracle.seen(camera, size)
+    counted, want = oracle.facing(seen, scene.lights[0]), oracle.visibility(seen, scene.lights[0])
 
     def measure(settings: Settings) -> float:
         frame = renderer.render(scene, camera, size, settings, aovs=("visibility",))

@@ -55,7 +55,7 @@ class Reference:
 def content_key(scene: Scene, camera: Camera, size: tuple[int, int], bounces: int) -> str:
     """Everything that decides the picture: the file's content, the view, the size, the depth and our own sources."""
     view = [camera.world_from_view.tolist(), camera.fov_y, camera.fov_short, camera.near, camera.xmag, camera.ymag]
-    parts = [store.renderer_digest(), scene.sha256 or scene.name, view, list(size), bounces]
+    parts = [store.renderer_digest(), scene.sha256, view, list(size), bounces]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
 
 
@@ -80,7 +80,8 @@ def converge(
     key = content_key(scene, camera, size, bounces)
     if folder is None and os.environ.get("GLHYBRID_CACHE") != "off":
         folder = cache_dir() / "reference"
-    path = None if folder is None else folder / f"{key}.npz"
+    # A scene without a digest of its content is not known again.
+    path = folder / f"{key}.npz" if folder is not None and scene.sha256 else None
     halves = _Halves.read(path, size) if path is not None else _Halves.empty(size)
     started, kept_s, saved = time.perf_counter(), halves.seconds, time.perf_counter()
     while True:

@@ -1,6 +1,8 @@
 """Small scenes with one number that can be turned, for curves of error over it."""
 
+import hashlib
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -56,7 +58,9 @@ def room(thickness: float) -> tuple[Scene, Camera]:
 
 
 def mirror_floor(roughness: float) -> tuple[Scene, Camera]:
-    """A metal floor of that roughness with a box, a thin post and a ball, under a smooth bright sky."""
+    """A metal floor of that roughness with a box, a thin post and a ball, under a smooth bright sky.
+
+    The bodies are unlit, so all that differs between ways to draw them is what the floor makes of them."""
     floor = Material("floor", (0.95, 0.95, 0.95, 1), metallic=1.0, roughness=roughness, double_sided=True)
     parts: list[Part] = [
         (box(size=(8, 0.2, 8)), 0, (0, -0.1, 0)), (box(size=(0.9, 1.2, 0.9)), 1, (-0.9, 0.6, -0.6)),
@@ -66,12 +70,14 @@ def mirror_floor(roughness: float) -> tuple[Scene, Camera]:
     sky = np.broadcast_to(np.where(rise > 0, 0.6 + 0.5 * rise, 0.35) * np.array([0.9, 1.0, 1.15]), (32, 64, 3))
     camera = Camera.look_at((0.4, 1.1, 3.6), (0, 0.35, 0), fov_y=0.7)
     environment = Environment(np.ascontiguousarray(sky, np.float32), name="dusk")
-    return placed("mirror floor", parts, (floor, CLAY, STONE), camera, environment=environment)
+    bodies = tuple(replace(m, unlit=True) for m in (CLAY, STONE))
+    return placed(f"mirror floor {roughness:g}", parts, (floor, *bodies), camera, environment=environment)
 
 
 def leaving(at_s: float) -> tuple[Scene, Camera]:
     """A box that stands on a glossy floor under a sun of some size until a time in seconds, and is gone then."""
     scene, camera = mirror_floor(0.25)
+    materials = (replace(scene.materials[0], metallic=0.5), *scene.materials[1:])  # shows shadows too
     sun = Light("directional", intensity=2.0, direction=(-0.5, -0.8, -0.3), angular_diameter=np.radians(4))
     places = np.array([(0, 0, 0), (0, 500, 0)], np.float32)
     channel = Channel(0, "translation", "STEP", np.array([0, at_s], np.float32), places)
@@ -82,7 +88,7 @@ def leaving(at_s: float) -> tuple[Scene, Camera]:
     instances = (still[0], box_first, *still[2:])
     animation = Animation("leave", (channel,))
     return scene.replace(
-        name="leaving", instances=instances, nodes=nodes, animations=(animation,), lights=(sun,)
+        name="leaving", materials=materials, instances=instances, nodes=nodes, animations=(animation,), lights=(sun,)
     ), camera
 
 
@@ -106,4 +112,17 @@ def placed(
     view[:3, 3] = scale * view[:3, 3] + way
     camera = Camera("main", view, fov_y=camera.fov_y, near=camera.near * scale)
     scene = Scene(name, tuple(shapes), tuple(instances), materials, cameras=(camera,), **extra)  # type: ignore[arg-type]
-    return scene, camera
+    return scene.replace(sha256=_digest(scene)), camera
+
+
+def _digest(scene: Scene) -> str:
+    """Of the content, as files have one of theirs."""
+    digest = hashlib.sha256(repr((scene.materials, scene.lights)).encode())
+    for mesh in scene.meshes:
+        for piece in mesh.primitives:
+            digest.update(repr(piece).encode() if isinstance(piece, Sphere) else piece.position.tobytes())
+    for instance in scene.instances:
+        digest.update(instance.world_from_object.tobytes() + repr((instance.mesh, instance.materials)).encode())
+    if scene.environment is not None:
+        digest.update(scene.environment.radiance.tobytes())
+    return digest.hexdigest()

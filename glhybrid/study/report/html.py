@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 from glhybrid import __version__, techniques
 from glhybrid.image import replacing
 from glhybrid.study import pareto
-from glhybrid.study.report import charts
+from glhybrid.study.report import charts, tables
 from glhybrid.study.report.axis import shown
 from glhybrid.study.report.charts import Line, Point
 
 if TYPE_CHECKING:
-    from glhybrid.study.run import Study
+    from glhybrid.study.results import Study
 
 HERE = Path(__file__).parent
 WIDEST = 640  # pixels of an embedded picture
@@ -41,8 +41,8 @@ def _page(study: "Study", output: Path, files: dict[str, str]) -> str:
         parts.append(_scene(study, name, output, files))
     parts += [
         _curves(study, files),
-        _paper(study),
-        _peers(study),
+        tables.paper(study.paper, study.machine["time"], files) if study.paper else "",
+        tables.peers(study.peers) if study.peers else "",
         _failures(study, output),
         _reading(study),
         _notes(study),
@@ -154,7 +154,7 @@ def _scene(study: "Study", name: str, output: Path, files: dict[str, str]) -> st
 
 
 def _chart(name: str, axis: str, rows: Sequence[Row], clock: str, reference: Row) -> tuple[str, str]:
-    from glhybrid.study.run import error_key
+    from glhybrid.study.results import error_key
 
     if axis:
         rows = [row for row in rows if axis in row["axes"]]
@@ -335,22 +335,6 @@ def _curves(study: "Study", files: dict[str, str]) -> str:
 
 def _numbers(values: Sequence[float | None]) -> list[float]:
     return [float("nan") if v is None else v for v in values]
-
-
-def _paper(study: "Study") -> str:
-    if not study.paper:
-        return ""
-    from glhybrid.study.report.tables import paper
-
-    return paper(study.paper)
-
-
-def _peers(study: "Study") -> str:
-    if not study.peers:
-        return ""
-    from glhybrid.study.report.tables import peers
-
-    return peers(study.peers)
 
 
 VERDICTS = {"holds": "good", "fails as expected": "soft", "unexpected": "bad"}

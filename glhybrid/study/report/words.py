@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from glhybrid import console
 
 if TYPE_CHECKING:
-    from glhybrid.study.run import Study
+    from glhybrid.study.results import Study
 
 
 def summary(study: "Study") -> None:

@@ -1,0 +1,202 @@
+"""One scene of a study: its converged reference, then every cell against it, each kept as it is finished."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from glhybrid.errors import GlhybridError, SettingError
+from glhybrid.image import replacing
+from glhybrid.renderer import Renderer
+from glhybrid.scene import F32, Camera, Scene
+from glhybrid.settings import Settings
+from glhybrid.study import direct, measure, results, stability, store, sweep
+from glhybrid.study import reference as references
+from glhybrid.study.develop import develop
+from glhybrid.study.measure import Clock
+from glhybrid.study.progress import Meter
+from glhybrid.study.reference import Reference
+from glhybrid.study.results import Study
+from glhybrid.study.sweep import PAIRS, Cell
+
+REFERENCE_CELLS = 8  # what a reference counts for in the progress
+GUESSED_PAIRS = 12  # before the fronts are known
+SMALLEST = 16  # pixels: FLIP and the windows of SSIM want a neighbourhood
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is spent. size: pixels. points: of a light with a size. target, most, budget_s: of the reference."""
+
+    size: tuple[int, int]
+    clock: Clock
+    points: int
+    target: float
+    most: int
+    budget_s: float
+    pan_steps: int
+    pairs: int | None
+
+
+def effort(quick: bool, software: bool, size: tuple[int, int] | None, most: int | None) -> Effort:
+    if quick:
+        chosen = Effort(
+            (256, 144) if software else (960, 540), Clock(2 if software else 32, 0.0), 16, 0.005,
+            256 if software else 2048, 30.0 if software else 10.0, 2, 4,
+        )  # fmt: skip
+    else:
+        chosen = Effort(
+            (640, 360) if software else (1920, 1080), Clock(5 if software else 64, 0.5), 64, 0.002,
+            1024 if software else 8192, math.inf, 8 if software else 32, None,
+        )  # fmt: skip
+    if size is not None:
+        if min(size) < SMALLEST:
+            raise SettingError(f"--size {size[0]}x{size[1]}: a study needs at least {SMALLEST} pixels a side")
+        chosen = replace(chosen, size=size)
+    return replace(chosen, most=most) if most is not None else chosen
+
+
+class SceneStudy:
+    """One scene: its reference, its cells."""
+
+    def __init__(
+        self, renderer: Renderer, name: str, scene: Scene, camera: Camera, axes: Mapping[str, Sequence[Cell]],
+        spent: Effort, bounces: int, output: Path, study: Study, meter: Meter,
+    ) -> None:  # fmt: skip
+        """axes: the cells to measure, by what they are for; those of several are then put together in pairs."""
+        self.renderer, self.name, self.scene, self.camera = renderer, name, scene, camera
+        self.axes, self.spent, self.bounces = axes, spent, bounces
+        self.folder, self.study, self.meter = output / name, study, meter
+
+    def size_of_work(self) -> float:
+        limit = self.spent.pairs or GUESSED_PAIRS
+        return REFERENCE_CELLS + sum(len(cells) for cells in self.axes.values()) + (limit if len(self.axes) > 1 else 0)
+
+    def run(self) -> None:
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self.reference = self._reference()
+        frame, self.exposure = develop(self.renderer, self.scene, self.camera, self.reference.radiance)
+        frame.save(self.folder / "reference.png")
+        frame.save(self.folder / "reference.exr", aov=())
+        self._describe()
+        seen: dict[str, dict[str, Any]] = {}
+        for kind, cells in self.axes.items():
+            for cell in cells:
+                self._cell(cell, kind, seen)
+        if len(self.axes) > 1:
+            cells = sweep.pairs(self._fronts(), self.spent.pairs)
+            self.meter.expect(len(cells) - (self.spent.pairs or GUESSED_PAIRS))
+            for cell in cells:
+                self._cell(cell, PAIRS, seen)
+
+    def _describe(self) -> None:
+        scene, size = self.scene, self.spent.size
+        self.study.scenes[self.name] = {
+            "path": str(scene.path) if scene.path else None, "sha256": scene.sha256,
+            "triangles": scene.triangle_count(), "instances": len(scene.instances), "lights": len(scene.lights),
+            "camera": self.camera.name, "size": list(size), "exposure_ev": self.exposure,
+            "reference": self.reference.to_dict() | {"png": "reference.png", "exr": "reference.exr"},
+        }  # fmt: skip
+
+    def _reference(self) -> Reference:
+        """As this folder has it, so that figures of one study are all against one picture; else converged."""
+        meter, spent = self.meter, self.spent
+        meter.begin(f"{self.name}: reference")
+        key = references.content_key(self.scene, self.camera, spent.size, self.bounces)
+        asked = store.fingerprint(key, spent.target, spent.most, spent.budget_s)
+        kept = store.read(self.folder / "reference.json", asked)
+        if kept is not None:
+            with np.load(self.folder / "reference.npz") as file:
+                radiance = file["radiance"]
+            meter.end(REFERENCE_CELLS, free=True)
+            return Reference(radiance, **{k: kept[k] for k in kept if k not in ("key", "images")} | {"key": key})
+        found = references.converge(
+            self.renderer, self.scene, self.camera, spent.size, bounces=self.bounces, target=spent.target,
+            most=spent.most, budget_s=spent.budget_s,
+            progress=lambda _, done, total: meter.part(REFERENCE_CELLS * min(done / total, 1.0)),
+        )  # fmt: skip
+        with replacing(self.folder / "reference.npz") as temporary, temporary.open("wb") as file:
+            np.savez(file, radiance=found.radiance)
+        store.write_json(
+            self.folder / "reference.json", found.to_dict() | {"key": asked, "images": {"npz": "reference.npz"}}
+        )
+        meter.end(REFERENCE_CELLS)
+        return found
+
+    def _fronts(self) -> dict[str, list[Cell]]:
+        """By kind the cells on its front."""
+        results.mark_fronts(self.study)
+        fronts: dict[str, list[Cell]] = {}
+        for kind, cells in self.axes.items():
+            by_key = {cell.key: cell for cell in cells}
+            fronts[kind] = [
+                by_key[row["cell"]] for row in self.study.rows
+                if row["scene"] == self.name and kind in row["pareto_axes"]
+            ]  # fmt: skip
+        return fronts
+
+    def _cell(self, cell: Cell, axis: str, seen: dict[str, dict[str, Any]]) -> None:
+        self.meter.begin(f"{self.name}: {cell.label}")
+        settings = cell.settings(Settings(exposure=self.exposure))
+        stem = cell.stem
+        path = self.folder / f"{stem}.json"
+        key = store.fingerprint(
+            store.code_digest(), self.reference.key, self.reference.samples, settings.to_dict(),
+            self.renderer.context.device.to_dict(), self.spent.clock.__dict__, self.spent.points, self.spent.pan_steps,
+        )  # fmt: skip
+        row = seen.get(cell.key) or store.read(path, key)
+        free = row is not None
+        if row is None:
+            try:
+                row = self._measure(cell, settings, stem)
+            except GlhybridError as error:
+                self.study.note(f"{self.name}: {cell.label} was not measured: {error}")
+                self.meter.end()
+                return
+            store.write_json(path, row | {"key": key})
+        if cell.key in seen:
+            row["axes"].append(axis)
+        else:
+            row = {k: v for k, v in row.items() if k != "key"} | {"axes": [axis], "cell": cell.key}
+            seen[cell.key] = row
+            self.study.rows.append(row)
+        self.meter.end(free=free)
+
+    def _measure(self, cell: Cell, settings: Settings, stem: str) -> dict[str, Any]:
+        args = self.renderer, self.scene, self.camera, self.spent.size
+        specular, light = self._specular, self._light
+        frame = measure.draw(*args, settings)
+        times = measure.time_frames(*args, settings, self.spent.clock)
+        errors, flip = measure.figures(frame, self.reference.radiance, light, specular)
+        width, height = self.spent.size
+        moving = None
+        if not cell.parameters:
+            small = (width // 2, height // 2)
+            moving = stability.pan(self.renderer, self.scene, self._pan_camera, small, settings, self.spent.pan_steps)
+        images = measure.save_images(self.folder, stem, frame, flip)
+        return {
+            "scene": self.name, **measure.describe(cell, times), "bytes": measure.memory(frame.receipt), **errors,
+            "flicker": moving.flicker if moving else None,
+            "flicker_p99": moving.flicker_p99 if moving else None,
+            "flip_rate_percent": moving.flip_rate_percent if moving else None,
+            "images": images,
+        }  # fmt: skip
+
+    @cached_property
+    def _specular(self) -> F32:
+        return measure.specular_share(self.renderer, self.scene, self.camera, self.spent.size)
+
+    @cached_property
+    def _light(self) -> direct.Direct | None:
+        if not self.scene.lights or not self.scene.instances:
+            return None
+        return direct.find(self.renderer, self.scene, self.camera, self.spent.size, self.spent.points)
+
+    @cached_property
+    def _pan_camera(self) -> Camera:
+        depth = stability.typical_depth(self.renderer, self.scene, self.camera)
+        return stability.orthographic(self.camera, depth)
