@@ -188,6 +188,8 @@ CONSTANTS: dict[str, int] = {
     "AOV_DEPTH": 1, "AOV_DISTANCE": 2, "AOV_POSITION": 3, "AOV_NORMAL": 4, "AOV_NORMAL_GEOMETRIC": 5, "AOV_ALBEDO": 6,
     "AOV_ROUGHNESS": 7, "AOV_METALLIC": 8, "AOV_EMISSIVE": 9, "AOV_INSTANCE_ID": 10, "AOV_MATERIAL_ID": 11,
     "AOV_TRIANGLE_ID": 12, "AOV_MOTION": 13, "AOV_BVH_STEPS": 14,
+    # Pixels that send a mirror ray of their own, before what their neighbours do not tell.
+    "GRID_FULL": 0, "GRID_HALF": 1, "GRID_CHECKERBOARD": 2,
     # Why a technique gave up at a pixel (the `reason` AOV).
     "REASON_NONE": 0,          # nothing to answer here, or answered
     "REASON_ROUGH": 1,         # too rough to spend a ray
@@ -291,6 +293,10 @@ CHANNELS: dict[str, Channel] = {
         Channel("visibility_tint", 4, "f2", "rgba16f", "the same through tinted surfaces"),
         Channel("visibility_soft", 4, "f2", "rgba16f", "the same with penumbras; their half width, m, 0 = not known"),
         Channel("reflection", 4, "f4", "rgba32f", "radiance along the mirror direction, distance to what is seen"),
+        Channel("reflection_sparse", 4, "f4", "rgba32f", "the same, of the pixels that a grid sends rays for"),
+        Channel(
+            "reflection_guide", 4, "u4", "rgba32ui", "mirror direction, distance of the surface (0 = no ray), REASON_*"
+        ),
         Channel("screen_plane", 4, "f4", "rgba32f", "screen depth, its change along x and y, whether anything is seen"),
         Channel("screen_nearest", 1, "f4", "r32f", "pyramid over the planes: nearest screen depth"),
         Channel("screen_span", 2, "f4", "rg32f", "pyramid over the planes: nearest and farthest screen depth"),

@@ -42,6 +42,8 @@ class Features:
     mirror_rays: bool = False  # and traces, as do blended layers
     probes: bool = False  # captured surroundings stand before the sky
     march: bool = False  # and looks into the G-buffer first
+    reflect_grid: int = 0  # which pixels send mirror rays before what is between them (layout GRID_*)
+    pixel_list: bool = False  # or those on a list
     glossy: bool = False  # or gathers rays over specular lobes
     glossy_coat: bool = False  # of the clearcoat, in passes/glossy.comp
     denoise: bool = False  # a filter follows
@@ -155,6 +157,7 @@ def find(scene: Scene, settings: Settings) -> Needs:
         reflections=reflections,
         mirror_rays=reflections and reflecting.traced,
         march=reflections and reflecting.mirror_pass == "ssr",
+        reflect_grid=techniques.reflect_grid(settings) if reflections else 0,
         glossy=reflections and reflecting.mirror_pass == "glossy",
         probes=mirrors and reflecting.mirror_pass == "probe",
         emitters=reference and any(max(m.emissive) > 0 for m in materials),

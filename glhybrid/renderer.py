@@ -23,6 +23,7 @@ from glhybrid.passes.glossy import Glossy
 from glhybrid.passes.probe import Probe
 from glhybrid.passes.reference import Reference
 from glhybrid.passes.reflect import Reflect
+from glhybrid.passes.reflect_sparse import ReflectSparse
 from glhybrid.passes.shadow import Shadow
 from glhybrid.passes.shadow_map import ShadowMap
 from glhybrid.passes.shadow_soft import ShadowSoft
@@ -272,11 +273,13 @@ class Staged:
             upload.resources.update(self.shadow.resources)
         elif features.visibility:
             self.shadow = Shadow(shaders, upload, features)
-        self.reflect: Reflect | Ssr | Glossy | None = None
+        self.reflect: Reflect | ReflectSparse | Ssr | Glossy | None = None
         if features.march:
             self.reflect = Ssr(shaders, upload, features, settings)
         elif features.glossy:
             self.reflect = Glossy(shaders, upload, features, settings)
+        elif features.reflections and features.reflect_grid:
+            self.reflect = ReflectSparse(context, shaders, upload, features, settings)
         elif features.reflections:
             self.reflect = Reflect(shaders, upload, features, self.plan.split)
         self.probe = Probe(context, shaders, upload, features, settings) if features.probes else None
@@ -530,7 +533,8 @@ class Staged:
         if self._spare is not None:
             self._spare.release()
         maps = self.shadow if isinstance(self.shadow, (ShadowMap, Baked)) else None
-        for owner in (self.gbuffer, self.display, self.sky, self.reference, maps, self.probe, self._capture):
+        sparse = self.reflect if isinstance(self.reflect, ReflectSparse) else None
+        for owner in (self.gbuffer, self.display, self.sky, self.reference, maps, self.probe, self._capture, sparse):
             if owner is not None:
                 owner.release()
         self.constants.release()

@@ -161,6 +161,12 @@ class Program:
         self.program.mglo.run(-(-size[0] // group[0]), -(-size[1] // group[1]), 1)
         self._context.gl.memory_barrier()
 
+    def dispatch_indirect(self, resources: Mapping[str, Any], groups: moderngl.Buffer) -> None:
+        """The same, over as many work groups as three uints at the start of a buffer say."""
+        self.bind(resources)
+        self.program.run_indirect(groups)
+        self._context.gl.memory_barrier()
+
 
 class Shaders:
     """All programs of one context. extra: folders searched after glsl/, for shaders outside the package."""

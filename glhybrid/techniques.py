@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from glhybrid.errors import SettingError, unknown
+from glhybrid.layout import CONSTANTS
 
 if TYPE_CHECKING:
     from glhybrid.settings import Settings
@@ -209,6 +210,16 @@ _ALL = (
                 1.0,
                 sweep=(0.5, 0.25),
             ),
+            Parameter(
+                "resolution",
+                "full",
+                "pixels that send a ray: all, one of four, or one of two; between them only where neighbours differ",
+                choices=("full", "half", "checkerboard"),
+                sweep=("half", "checkerboard"),
+            ),
+            Parameter(
+                "contrast", 0.1, "share by which two rays may differ for a pixel between them to send none", 0.0, 1.0
+            ),
         ),
     ),
     Technique(
@@ -258,6 +269,13 @@ def find(kind: str, name: object) -> Technique:
         have = ", ".join(t.name for t in table.values() if t.implemented)
         raise SettingError(f'{kind} technique "{name}" ({technique.summary}) is not in this version; it has: {have}')
     return technique
+
+
+def reflect_grid(settings: "Settings") -> int:
+    """Which pixels send mirror rays, a GRID_* of layout.py."""
+    if settings.reflections != "ray-lerp":
+        return 0
+    return CONSTANTS[f"GRID_{settings.parameter('reflections.ray-lerp.resolution').upper()}"]
 
 
 def cutoff(settings: "Settings") -> float:
