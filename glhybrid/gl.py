@@ -28,6 +28,7 @@ GL_ACTIVE_TEXTURE = 0x84E0
 GL_R32UI, GL_RG32UI, GL_RGBA32UI, GL_R32F, GL_RG32F, GL_RGBA32F = 0x8236, 0x823C, 0x8D70, 0x822E, 0x8230, 0x8814
 GL_DEPTH_COMPONENT, GL_DEPTH_COMPONENT32F, GL_FLOAT = 0x1902, 0x8CAC, 0x1406
 GL_COLOR, GL_DEPTH = 0x1800, 0x1801
+GL_READ_FRAMEBUFFER, GL_DRAW_FRAMEBUFFER, GL_COLOR_BUFFER_BIT, GL_NEAREST = 0x8CA8, 0x8CA9, 0x4000, 0x2600
 GL_BUFFER, GL_SHADER, GL_PROGRAM, GL_QUERY, GL_TEXTURE = 0x82E0, 0x82E1, 0x82E2, 0x82E3, 0x1702
 GL_FRAMEBUFFER, GL_RENDERBUFFER, GL_VERTEX_ARRAY, GL_SAMPLER = 0x8D40, 0x8D41, 0x8074, 0x82E6
 GL_TIMESTAMP, GL_QUERY_RESULT, GL_QUERY_RESULT_AVAILABLE = 0x8E28, 0x8866, 0x8867
@@ -60,7 +61,9 @@ _UINTS, _INTS = POINTER(c_uint), POINTER(c_int)
 _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "glActiveTexture": (None, (_ENUM,)),
     "glBindBuffer": (None, (_ENUM, _UINT)),
+    "glBindFramebuffer": (None, (_ENUM, _UINT)),
     "glBindTexture": (None, (_ENUM, _UINT)),
+    "glBlitFramebuffer": (None, (_INT,) * 8 + (_BITS, _ENUM)),
     "glBufferData": (None, (_ENUM, _OFFSET, c_void_p, _ENUM)),
     "glClearBufferfv": (None, (_ENUM, _INT, POINTER(c_float))),
     "glClearBufferuiv": (None, (_ENUM, _INT, _UINTS)),

@@ -41,7 +41,7 @@ from glhybrid.tuning import Tuning, tuned
 from glhybrid.view import View, choose_camera, make_view
 
 Progress = Callable[[str, int, int], None]
-INTERACTIVE_STAGINGS = 3  # two techniques side by side, and the reference
+INTERACTIVE_STAGINGS = 4  # two techniques side by side, the reference, and one on its way in
 # Settings that change numbers of a frame only, with a value for all.
 LIVE: dict[str, Any] = {"exposure": 0.0, "tone": "none", "aa": None, "bounces": 0, "seed": 0}
 LIT_AHEAD = {"baked", "probe"}  # techniques that hold light from when they were staged
@@ -167,6 +167,13 @@ class Renderer:
     @property
     def _staged(self) -> "Staged | None":
         return self._stagings[-1] if self._stagings else None
+
+    def forget(self, staged: "Staged") -> None:
+        """Frees one staging at once."""
+        if staged in self._stagings:
+            self._stagings.remove(staged)
+            self._stagings.insert(0, staged)
+            self._drop(len(self._stagings) - 1)
 
     def _drop(self, most: int, wanted: GpuScene | None = None) -> None:
         """Frees the stagings that were not used for longest, and uploads that no other one uses or is to use."""
@@ -336,6 +343,10 @@ class Staged:
         if not spare:
             self._spare.release()
             self._spare = None
+
+    def holds(self, targets: Targets) -> bool:
+        """Whether these images, current or spare, are not freed yet."""
+        return targets is self.targets or targets is self._spare
 
     def _relight(self) -> None:
         """Lights that differ from those that were staged, on the GPU with the next look."""

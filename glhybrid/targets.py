@@ -3,6 +3,7 @@
 from typing import Any
 
 import moderngl
+import numpy as np
 
 from glhybrid.context import Context
 from glhybrid.errors import SettingError
@@ -43,6 +44,20 @@ class Targets:
             self._images[key] = self._context.gl.framebuffer([self.get(name)], depth)
         framebuffer: moderngl.Framebuffer = self._images[key]
         return framebuffer
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Channels that have an image."""
+        return tuple(name for name in self._images if name in CHANNELS)
+
+    def read(self, name: str) -> np.ndarray:
+        """A channel's image as (H, W, C) or, of layers, (H, W, C * L); row 0 at the top."""
+        image, channel = self._images[name], CHANNELS[name]
+        kind = {"f1": np.uint8, "f2": np.float16, "f4": np.float32, "u4": np.uint32, "u1": np.uint8}[channel.dtype]
+        layers = getattr(image, "layers", 1)
+        texels = np.frombuffer(image.read(alignment=1), kind).reshape(layers, image.height, image.width, -1)[:, ::-1]
+        texels = np.moveaxis(texels, 0, 2).reshape(image.height, image.width, -1)
+        return texels / np.float32(255) if channel.dtype == "f1" else texels
 
     @property
     def bytes(self) -> int:

@@ -32,6 +32,15 @@ class Timing:
         row[name] = row.get(name, 0.0) + (time.perf_counter() - start) * 1e3
         return result
 
+    def take(self) -> dict[str, float]:
+        """By pass, summed over the frames so far, which are forgotten."""
+        total: dict[str, float] = {}
+        for frame in self._frames:
+            for name, ms in frame.items():
+                total[name] = total.get(name, 0.0) + ms
+        self._frames.clear()
+        return total
+
     def medians(self) -> dict[str, float]:
         """By pass, over all frames but the first, which also compiles (unless it is the only one)."""
         frames = self._frames[1:] or self._frames

@@ -120,7 +120,7 @@ def test_exposure_tone_and_counts_change_numbers_alone(renderer: Renderer, conte
 def test_most_stagings_are_freed(renderer: Renderer, scene: Scene) -> None:
     for shadows in ("none", "map", "pcf", "pcss", "ray"):
         renderer.render(scene, size=SIZE, settings=Settings(aa=1, shadows=shadows))
-    assert len(renderer._stagings) == 3
+    assert len(renderer._stagings) == 4
 
 
 def test_a_written_shader_is_used_and_a_broken_one_is_not(

@@ -1,0 +1,36 @@
+"""How large a picture may be drawn while things move, so that the window keeps answering."""
+
+from dataclasses import dataclass
+
+GPU_MS, SOFTWARE_MS = 30.0, 140.0  # of a frame in motion: answers within 50 ms on a GPU, 5 frames/s on a CPU
+REST_S = 0.25  # without motion, before the picture is made in full
+SCALES = (1.0, 0.75, 0.5, 0.375, 0.25, 0.1875, 0.125)  # of each side
+
+
+@dataclass
+class Budget:
+    """Learns what a pixel costs and says at which share of each side the next frame in motion is drawn."""
+
+    target_ms: float
+    scale: float = 1.0
+    _cost: float = 0.0  # ms of a picture of full size
+
+    def note(self, ms: float, scale: float) -> None:
+        """A picture at this scale took so long. Dearer ones are believed at once, cheaper ones by halves."""
+        cost = ms / scale**2
+        self._cost = cost if cost > self._cost else (self._cost + cost) / 2
+
+    def forget(self) -> None:
+        """Something else is drawn from now on."""
+        self._cost = 0.0
+
+    def next(self) -> float:
+        """The largest scale within the target; a larger one than before only with room to spare."""
+        if self._cost > 0:
+            fits = [s for s in SCALES if self._cost * s**2 <= self.target_ms * (1.0 if s <= self.scale else 0.75)]
+            self.scale = fits[0] if fits else SCALES[-1]
+        return self.scale
+
+
+def scaled(size: tuple[int, int], scale: float) -> tuple[int, int]:
+    return max(round(size[0] * scale), 1), max(round(size[1] * scale), 1)

@@ -1,0 +1,197 @@
+"""What is drawn over the picture region: the pictures themselves, divider, labels, legend, selection, messages."""
+
+import time as clock
+from typing import Any
+
+import numpy as np
+
+from glhybrid.viewer import views
+from glhybrid.viewer.controls import HELP, Controls
+from glhybrid.viewer.gui import Gui
+from glhybrid.viewer.pictures import Pictures, Side
+from glhybrid.viewer.session import Session
+from glhybrid.viewer.views import PICTURE
+
+ACCENT, INK, DIM, BAD = 0xFF429EED, 0xFFE6E6E6, 0xFFB4B0AC, 0xFF5A6CFF  # ABGR
+BACK = 0xC0181614
+
+
+class Overlay:
+    def __init__(self, gui: Gui, session: Session, pictures: Pictures, controls: Controls, scale: float) -> None:
+        self._gui, self._session, self._pictures, self._controls = gui, session, pictures, controls
+        self._scale = scale
+        self._ramps: dict[str, Any] = {}
+
+    def draw(self, size: tuple[int, int], ramp: Any) -> None:
+        """ramp(name): a palette's texture, 256 x 1."""
+        imgui = self._gui.imgui
+        under, over = imgui.get_background_draw_list(), imgui.get_background_draw_list()
+        width, height = size
+        under.push_clip_rect((0, 0), size, False)
+        self._images(under, width, height)
+        self._selection(over, size)
+        self._labels(over, width)
+        self._legend(over, height, ramp)
+        self._messages(over, width, height)
+        under.pop_clip_rect()
+        if self._session.help:
+            self._help()
+
+    def _images(self, paint: Any, width: int, height: int) -> None:
+        session, pictures = self._session, self._pictures
+        if session.mode == "split":
+            middle = round(session.divider * width)
+            self._image(paint, "a", (0, 0, middle, height), (width, height))
+            self._image(paint, "b", (middle, 0, width, height), (width, height))
+            color = ACCENT if self._controls.over_divider() or self._controls.dragging == "divider" else INK
+            paint.add_line((middle, 0), (middle, height), 0xA0000000, 3.0 * self._scale)
+            paint.add_line((middle, 0), (middle, height), color, 1.0 * self._scale)
+            radius = 9.0 * self._scale
+            paint.add_circle_filled((middle, height / 2), radius, color)
+            paint.add_text((middle - 4.2 * self._scale, height / 2 - 8.0 * self._scale), 0xFF202020, "||")
+            if self._controls.over_divider():
+                self._gui.imgui.set_mouse_cursor(self._gui.imgui.MouseCursor_.resize_ew)
+        else:
+            self._image(paint, pictures.shown()[0], (0, 0, width, height), (width, height))
+
+    def _image(self, paint: Any, side: Side, clip: tuple[int, int, int, int], size: tuple[int, int]) -> None:
+        found = self._pictures.image(side)
+        if found is None:
+            return
+        image, flipped = found
+        low, high = ((0, 1), (1, 0)) if flipped else ((0, 0), (1, 1))
+        paint.push_clip_rect(clip[:2], clip[2:], True)
+        paint.add_image(self._gui.texture(image), (0, 0), size, low, high)
+        paint.pop_clip_rect()
+
+    def _label(self, paint: Any, x: float, y: float, lines: list[tuple[str, int]], right: bool = False) -> float:
+        """A box of lines at a corner; returns its lower edge."""
+        imgui, pad = self._gui.imgui, 6 * self._scale
+        sizes = [imgui.calc_text_size(text) for text, _ in lines]
+        width, step = max(s.x for s in sizes), sizes[0].y + 2 * self._scale
+        left = x - width - 2 * pad if right else x
+        bottom = y + step * len(lines) + 2 * pad
+        paint.add_rect_filled((left, y), (left + width + 2 * pad, bottom), BACK, 4 * self._scale)
+        for i, (text, color) in enumerate(lines):
+            paint.add_text((left + pad, y + pad + i * step), color, text)
+        return float(bottom)
+
+    def _describe(self, side: Side) -> list[tuple[str, int]]:
+        session, pictures = self._session, self._pictures
+        settings, picture = session.settings(side), pictures.sides[side]
+        name = "reference" if settings.reflections == "reference" else f"{settings.shadows} + {settings.reflections}"
+        lines = [(f"{'A' if side == 'a' else 'B'}   {name}", INK)]
+        if session.show != PICTURE and session.mode in ("single", "split"):
+            lines.append((session.show.replace("_", " "), ACCENT))
+        elif session.mode in ("difference", "flip"):
+            other = "B" if session.against == "b" else "the reference"
+            lines.append((f"{'FLIP' if session.mode == 'flip' else 'difference'} from {other}", ACCENT))
+        if pictures.moving:
+            lines.append((f"{1e3 / max(pictures.frame_ms, 1e-3):.0f} frames/s at {pictures.scale:.0%}", DIM))
+        else:
+            ms = sum(picture.medians().values())
+            text = f"{picture.done} of {picture.total} samples" if picture.total else "..."
+            lines.append((text + (f", {ms:.1f} ms each" if ms else ""), DIM))
+        if error := pictures.errors.get(side):
+            flip = f"FLIP {error.flip:.3f}   " if error.flip is not None else ""
+            lines.append((f"{flip}{error.psnr:.1f} dB   relMSE {error.rel_mse:.2g}", ACCENT))
+        return lines
+
+    def _labels(self, paint: Any, width: int) -> None:
+        session, pictures, gap = self._session, self._pictures, 10 * self._scale
+        shown = pictures.shown()
+        self._label(paint, gap, gap, self._describe(shown[0]))
+        if session.mode == "split":
+            self._label(paint, width - gap, gap, self._describe("b"), right=True)
+        elif "reference" in pictures.wanted():
+            picture = pictures.sides["reference"]
+            lines = [("reference", INK), (f"{picture.done} of {picture.total} paths a pixel", DIM)]
+            self._label(paint, width - gap, gap, lines, right=True)
+
+    def _legend(self, paint: Any, height: int, ramp: Any) -> None:
+        session, legend = self._session, self._pictures.legend
+        if legend is None or (session.show == PICTURE and session.mode in ("single", "split")):
+            return
+        imgui, s = self._gui.imgui, self._scale
+        line = imgui.get_text_line_height() + 4 * s
+        rows = len(legend.rows) if isinstance(legend, views.Swatches) else 1
+        tall = line * (rows + (2 if isinstance(legend, views.Scale) else 1)) + 12 * s
+        x, y, pad = 10 * s, height - 10 * s - tall - self._below(), 8 * s
+        heading = session.show if session.mode in ("single", "split") else session.mode
+        wide = 250 * s
+        if isinstance(legend, views.Note):
+            wide = max(wide, imgui.calc_text_size(legend.text).x + 2 * pad)
+        paint.add_rect_filled((x, y), (x + wide, y + tall), BACK, 4 * s)
+        paint.add_text((x + pad, y + 5 * s), INK, heading.replace("_", " "))
+        top = y + 5 * s + line
+        if isinstance(legend, views.Note):
+            paint.add_text((x + pad, top), DIM, legend.text)
+        elif isinstance(legend, views.Scale):
+            image = self._gui.texture(ramp(legend.palette))
+            paint.add_image(image, (x + pad, top), (x + wide - pad, top + line * 0.7))
+            under = top + line * 0.8
+            low, high = f"{legend.low:.4g}", f"{legend.high:.4g}"
+            paint.add_text((x + pad, under), DIM, low)
+            paint.add_text((x + wide - pad - imgui.calc_text_size(high).x, under), DIM, high)
+            middle = x + wide / 2 - imgui.calc_text_size(legend.unit).x / 2
+            paint.add_text((middle, under), DIM, legend.unit)
+        else:
+            for i, (label, color, share) in enumerate(legend.rows):
+                level = top + i * line
+                packed = 0xFF000000 | color[2] << 16 | color[1] << 8 | color[0]
+                paint.add_rect_filled((x + pad, level + 2 * s), (x + pad + 12 * s, level + 14 * s), packed, 2 * s)
+                paint.add_text((x + pad + 19 * s, level), INK, label[:26])
+                percent = f"{share:.1%}"
+                paint.add_text((x + wide - pad - imgui.calc_text_size(percent).x, level), DIM, percent)
+
+    def _below(self) -> float:
+        """Height of the bar under the legend."""
+        return 46 * self._scale if self._session.scene.animations else 0.0
+
+    def _selection(self, paint: Any, size: tuple[int, int]) -> None:
+        """The box of the picked instance, and a cross at the picked point."""
+        picked, view = self._session.picked, self._pictures.sides[self._pictures.shown()[0]].view
+        if picked is None or picked.instance < 0 or view is None:
+            return
+        box = self._session.bounds()
+        corners = np.array([[box[i & 1, 0], box[i >> 1 & 1, 1], box[i >> 2 & 1, 2]] for i in range(8)])
+        points = np.concatenate([corners, [picked.position]]) - view.origin
+        clip = np.concatenate([points, np.ones((9, 1))], 1) @ view.clip_from_world.T
+        behind = clip[:, 3] <= 1e-6
+        with np.errstate(divide="ignore", invalid="ignore"):
+            screen = (clip[:, :2] / clip[:, 3:] * [0.5, -0.5] + 0.5) * size
+        if not self._session.transport.playing and self._session.transport.clip < 0:
+            for i in range(8):
+                for bit in (1, 2, 4):
+                    j = i | bit
+                    if j != i and not behind[i] and not behind[j]:
+                        paint.add_line(tuple(screen[i]), tuple(screen[j]), 0xB0429EED, 1.2 * self._scale)
+        if not behind[8]:
+            x, y = screen[8]
+            paint.add_circle((x, y), 5 * self._scale, 0xFF000000, 0, 3.0 * self._scale)
+            paint.add_circle((x, y), 5 * self._scale, ACCENT, 0, 1.6 * self._scale)
+
+    def _messages(self, paint: Any, width: int, height: int) -> None:
+        now, y = clock.monotonic(), height - 14 * self._scale - self._below()
+        for said in reversed([s for s in self._session.said if s.until > now]):
+            lines = [(line[:110], BAD if said.error else INK) for line in said.text.splitlines()[:14]]
+            imgui = self._gui.imgui
+            tall = (imgui.get_text_line_height() + 2 * self._scale) * len(lines) + 12 * self._scale
+            y -= tall + 6 * self._scale
+            self._label(paint, width - 10 * self._scale, y, lines, right=True)
+
+    def _help(self) -> None:
+        imgui, s = self._gui.imgui, self._scale
+        imgui.set_next_window_pos((24 * s, 90 * s), imgui.Cond_.appearing)
+        flags = imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_collapse
+        shown, open_ = imgui.begin("Keys and pointer", True, flags)
+        if shown and imgui.begin_table("help", 2):
+            for keys, meaning in HELP:
+                imgui.table_next_row()
+                imgui.table_next_column()
+                imgui.text_disabled(keys)
+                imgui.table_next_column()
+                imgui.text(meaning)
+            imgui.end_table()
+        imgui.end()
+        self._session.help = bool(open_)
