@@ -52,7 +52,7 @@ def is_pose(text: str) -> bool:
     return text.lstrip().startswith(("eye=", "target="))
 
 
-def parse(text: str) -> Camera:
+def read(text: str) -> Pose:
     """Raises SettingError for a line that is not as above."""
     points: dict[str, Point] = {"up": (0.0, 1.0, 0.0)}
     numbers = {"near": 0.01}
@@ -80,9 +80,16 @@ def parse(text: str) -> Camera:
     fov, height = numbers.get("fov", 0.0 if "height" in numbers else 45.0), numbers.get("height", 0.0)
     if not (0 < fov < 180 or (fov == 0 and height > 0)) or numbers["near"] <= 0 or numbers.get("width", 0.0) < 0:
         raise SettingError(f'--camera "{text}": expected fov within 0 to 180 or height > 0, and near > 0')
-    camera = Camera.look_at(eye, target, points["up"], float(np.deg2rad(fov)), numbers["near"], "view")
-    short = bool(numbers.get("short", 0.0))
-    return replace(camera, fov_short=short, ymag=height if fov == 0 else 0.0, xmag=numbers.get("width", 0.0))
+    short, width = bool(numbers.get("short", 0.0)), numbers.get("width", 0.0)
+    return Pose(eye, target, points["up"], fov, numbers["near"], short, height, width)
+
+
+def parse(text: str) -> Camera:
+    """The camera of a line. Raises SettingError for one that is not as above."""
+    pose = read(text)
+    camera = Camera.look_at(pose.eye, pose.target, pose.up, float(np.deg2rad(pose.fov)), pose.near, "view")
+    flat = pose.fov == 0
+    return replace(camera, fov_short=pose.short, ymag=pose.height * flat, xmag=pose.width * flat)
 
 
 def pose_of(camera: Camera, distance: float) -> Pose:

@@ -1,4 +1,4 @@
-"""The command line: `glhybrid render | plan | bench | study | scenes | doctor`.
+"""The command line: `glhybrid render | view | plan | bench | study | scenes | doctor`.
 
 Exit codes: 0 done; 1 a bench whose hits differ; 2 bad input or usage; 3 no usable OpenGL; 130 interrupted. A user's
 mistake is one line on stderr, never a traceback. Results go to stdout, everything else to stderr. Nothing heavy is
@@ -9,14 +9,15 @@ import json
 import re
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, CycloptsError, Parameter
 
-from glhybrid import __version__, cli_frames, console
+from glhybrid import __version__, cli_frames, cli_view, console
 from glhybrid.cli_frames import Frames
+from glhybrid.cli_view import View
 from glhybrid.errors import DeviceError, GlhybridError, SettingError
 
 if TYPE_CHECKING:
@@ -55,7 +56,10 @@ class Common:
     ] = "auto"
     size: Annotated[str, Parameter(help="Pixels, WxH; 1280x720.")] = "1280x720"
     camera: Annotated[
-        str | None, Parameter(help="Name or index of a camera of the scene; its first one by default.")
+        str | None,
+        Parameter(
+            help="Name or index of a camera of the scene, its first one by default; or eye=X,Y,Z;target=X,Y,Z;fov=45."
+        ),
     ] = None
     shadows: Annotated[str | None, Parameter(help="Shadow technique: none or ray (the default).")] = None
     reflections: Annotated[
@@ -71,6 +75,16 @@ class Common:
         Parameter(help="Name or number of the animation; the first one by default. Alone, it is shown at 0 s."),
     ] = None
     aa: Annotated[int | None, Parameter(help="Jittered frames averaged; 4 for PNG, 1 for EXR and NPZ.")] = None
+    light: Annotated[
+        tuple[str, ...],
+        Parameter(
+            help="INDEX:AZIMUTH,ELEVATION, degrees, of where a light comes from instead; may be repeated.",
+            consume_multiple=False,
+        ),
+    ] = ()
+    environment_rotation: Annotated[
+        float | None, Parameter(help="Degrees about +Y instead of the scene's own.", allow_leading_hyphen=True)
+    ] = None
     set: Annotated[
         tuple[str, ...],
         Parameter(name="--set", help="key=value of any setting; may be repeated.", consume_multiple=False),
@@ -108,7 +122,12 @@ class Common:
     def load(self, scene: str) -> "Scene":
         import glhybrid
 
-        return glhybrid.load(scene, strict=self.strict, allow_outside=self.allow_outside)
+        loaded = glhybrid.load(scene, strict=self.strict, allow_outside=self.allow_outside)
+        if self.light or self.environment_rotation is not None:
+            from glhybrid import relight
+
+            loaded = relight.apply(loaded, self.light, self.environment_rotation)
+        return loaded
 
 
 @app.command
@@ -185,6 +204,25 @@ def _render_frames(
         _print_json(receipt)
     elif not common.quiet:
         print(cli_frames.summary(receipt))
+    return 0
+
+
+@app.command
+def view(scene: SceneName, /, *, flags: View = cli_view.NONE, common: Common = Common()) -> int:
+    """Look at a scene in a window, or with --web in a browser; --size is the picture's."""
+    from glhybrid.settings import Settings
+
+    settings, size = common.settings(), common.pixels()
+    flags.refuse()
+    plain = replace(common, light=(), environment_rotation=None)  # the viewer turns lights itself
+    with console.progress(not common.quiet) as progress:
+        progress(f"loading {scene}", 0, 0)
+        loaded = plain.load(scene)
+    _say_warnings(loaded.warnings)
+    cli_view.run(
+        scene, loaded, settings, settings != Settings(), flags, common.device, size, common.camera_key(),
+        common.light, common.environment_rotation, plain.load,
+    )  # fmt: skip
     return 0
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from glhybrid import camera_text
 from glhybrid.errors import SettingError, unknown
 from glhybrid.scene import F64, Camera, Scene
 
@@ -72,6 +73,8 @@ def choose_camera(scene: Scene, camera: int | str | Camera | None) -> Camera:
     """A camera of the scene by index or name; None = the first. Raises SettingError with the nearest name."""
     if isinstance(camera, Camera):
         return camera
+    if isinstance(camera, str) and camera_text.is_pose(camera):
+        return camera_text.parse(camera)
     if camera is None:
         camera = 0
     if isinstance(camera, int) or (

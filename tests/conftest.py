@@ -20,7 +20,7 @@ MODELS = ROOT.parent / "shared" / "models"
 
 def pytest_configure(config: pytest.Config) -> None:
     os.environ.setdefault("GLHYBRID_TUNING", "off")  # no test's picture may hang on how fast the machine is today
-    config.addinivalue_line("markers", "gpu: needs an OpenGL 4.3 context (all of tests/gpu and tests/image)")
+    config.addinivalue_line("markers", "gpu: needs an OpenGL 4.3 context (tests/gpu, tests/image, tests/viewer)")
     config.addinivalue_line("markers", "slow: takes more than a few seconds on two cores")
     if "s" not in config.option.reportchars:
         config.option.reportchars += "s"  # a skipped test prints why
@@ -28,7 +28,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
-        if {"gpu", "image"} & set(item.path.relative_to(ROOT).parts):
+        if {"gpu", "image", "viewer"} & set(item.path.relative_to(ROOT).parts):
             item.add_marker(pytest.mark.gpu)
 
 

@@ -215,7 +215,7 @@ class Viewer:
             return None
         shown = self.pictures.shown()
         side = shown[0] if len(shown) == 1 or at[0] < self.session.divider * width else shown[1]
-        picture = self.pictures.sides[side]
+        picture = self.pictures.picture(side)
         w, h = picture.size
         if not w:
             return None
@@ -227,7 +227,7 @@ class Viewer:
         if self.session.pose is not None:
             return camera_control.distance(self.session.pose)
         try:
-            found = picking.focus(self.pictures.sides[self.pictures.shown()[0]])
+            found = picking.focus(self.pictures.picture(self.pictures.shown()[0]))
         except GlhybridError:
             found = float("inf")
         if np.isfinite(found) and found > 0:
@@ -239,7 +239,7 @@ class Viewer:
     def save(self, path: Path | None = None) -> Path:
         """The picture as `render` makes it, finished first. path: default is a new name in the working folder."""
         side = self.pictures.shown()[0]
-        picture = self.pictures.sides[side]
+        picture = self.pictures.picture(side)
         while not picture.finished and self.running:
             self.pictures.update(self.picture_size)
         stem = Path(self.session.source).stem or "picture"

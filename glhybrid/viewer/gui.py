@@ -168,7 +168,8 @@ class Gui:
         framebuffer.use()
         framebuffer.viewport = (0, 0, width, height)
         gl.enable_only(moderngl.BLEND)
-        gl.blend_func = moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA, moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA
+        blend: Any = moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA, moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA
+        gl.blend_func = blend
         self._program["pixels"].value = width, height
         self._program["image"].value = 0
         for commands in data.cmd_lists:

@@ -78,7 +78,7 @@ class Overlay:
 
     def _describe(self, side: Side) -> list[tuple[str, int]]:
         session, pictures = self._session, self._pictures
-        settings, picture = session.settings(side), pictures.sides[side]
+        settings, picture = session.settings(side), pictures.picture(side)
         name = "reference" if settings.reflections == "reference" else f"{settings.shadows} + {settings.reflections}"
         lines = [(f"{'A' if side == 'a' else 'B'}   {name}", INK)]
         if session.show != PICTURE and session.mode in ("single", "split"):
@@ -92,7 +92,7 @@ class Overlay:
             ms = sum(picture.medians().values())
             text = f"{picture.done} of {picture.total} samples" if picture.total else "..."
             lines.append((text + (f", {ms:.1f} ms each" if ms else ""), DIM))
-        if error := pictures.errors.get(side):
+        if error := pictures.measure.errors.get(side):
             flip = f"FLIP {error.flip:.3f}   " if error.flip is not None else ""
             lines.append((f"{flip}{error.psnr:.1f} dB   relMSE {error.rel_mse:.2g}", ACCENT))
         return lines
@@ -103,14 +103,14 @@ class Overlay:
         self._label(paint, gap, gap, self._describe(shown[0]))
         if session.mode == "split":
             self._label(paint, width - gap, gap, self._describe("b"), right=True)
-        elif "reference" in pictures.wanted():
-            picture = pictures.sides["reference"]
+        elif pictures.measured:
+            picture = pictures.picture("reference")
             lines = [("reference", INK), (f"{picture.done} of {picture.total} paths a pixel", DIM)]
             self._label(paint, width - gap, gap, lines, right=True)
 
     def _legend(self, paint: Any, height: int, ramp: Any) -> None:
         session, legend = self._session, self._pictures.legend
-        if legend is None or (session.show == PICTURE and session.mode in ("single", "split")):
+        if legend is None:
             return
         imgui, s = self._gui.imgui, self._scale
         line = imgui.get_text_line_height() + 4 * s
@@ -150,7 +150,7 @@ class Overlay:
 
     def _selection(self, paint: Any, size: tuple[int, int]) -> None:
         """The box of the picked instance, and a cross at the picked point."""
-        picked, view = self._session.picked, self._pictures.sides[self._pictures.shown()[0]].view
+        picked, view = self._session.picked, self._pictures.picture(self._pictures.shown()[0]).view
         if picked is None or picked.instance < 0 or view is None:
             return
         box = self._session.bounds()

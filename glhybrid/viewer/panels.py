@@ -112,8 +112,8 @@ class Panels:
         if changed:
             session.reference = value
             session.edited()
-        picture = self._pictures.sides["reference"]
-        if "reference" in self._pictures.wanted():
+        picture = self._pictures.picture("reference")
+        if self._pictures.measured:
             imgui.same_line()
             imgui.progress_bar(picture.share, (-1, 0), f"{picture.done} of {picture.total} paths")
             self._count("samples", "paths", 1, 4096)
@@ -215,7 +215,7 @@ class Panels:
     def _passes(self) -> None:
         imgui, session = self._gui.imgui, self._session
         for side in self._pictures.shown():
-            picture = self._pictures.sides[side]
+            picture = self._pictures.picture(side)
             medians = picture.medians()
             total = sum(medians.values())
             if not medians:
@@ -248,7 +248,7 @@ class Panels:
             if count > 1:
                 text, top = f"{float(np.median(history)):.2f} ms", float(history.max()) * 1.15
                 imgui.plot_lines(f"##history {side}", history, 0, text, 0.0, top, (-1, 42 * self._scale))
-            if error := self._pictures.errors.get(side):
+            if error := self._pictures.measure.errors.get(side):
                 flip = f"   FLIP {error.flip:.4f}" if error.flip is not None else ""
                 imgui.text(f"{side.upper()}  {total:.1f} ms{flip}")
                 imgui.text_disabled(f"{error.psnr:.2f} dB, relMSE {error.rel_mse:.3g}, {error.samples} paths")

@@ -110,7 +110,6 @@ class Picture:
         staged, settings = self.staged, self._wanted[1] if self._wanted else self.staged.settings
         key = self._into, self.done, settings.exposure, settings.tone, exposure_ev
         if self._shown is None or self._shown[:-1] != key:
-            self._renderer.stage(*self._staging())
             staged.constants.under(staged.scene, settings)
             if exposure_ev is not None:
                 staged.constants.put(auto_exposure=0, exposure_ev=exposure_ev)

@@ -1,0 +1,106 @@
+"""How far the pictures that are looked at are from the reference, or from each other: numbers and maps, as they come.
+
+Numbers are made anew whenever the reference has twice as many samples as the last time; FLIP follows when it is done.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from glhybrid.scene import F32, U8
+from glhybrid.viewer import compare, views
+from glhybrid.viewer.picture import Picture
+from glhybrid.viewer.session import Session
+
+Upload = Callable[[str, U8], Any]
+
+
+class Measure:
+    """errors: by side. legend: of the map that was made last."""
+
+    def __init__(self, session: Session, upload: Upload) -> None:
+        self.errors: dict[str, compare.Error] = {}
+        self.legend: views.Legend | None = None
+        self._session, self._upload = session, upload
+        self._worker = compare.FlipWorker()
+        self._has_flip = compare.has_flip()
+        self._pairs: dict[str, tuple[Any, U8, U8]] = {}
+        self._flips: dict[str, tuple[Any, F32]] = {}
+        self._asked: dict[str, Any] = {}
+        self._maps: dict[str, tuple[Any, Any]] = {}
+
+    @property
+    def busy(self) -> bool:
+        return self._worker.busy
+
+    def forget(self, side: str) -> None:
+        """A side is drawn anew."""
+        for table in (self.errors, self._pairs, self._flips, self._asked, self._maps):
+            table.pop(side, None)
+
+    def update(self, side: str, version: Any, ours: Picture, theirs: Picture) -> bool:
+        """What is due for pictures that were brought to display; whether anything has changed.
+
+        version: of both pictures and of how they are displayed.
+        """
+        changed = self._deliver()
+        done = theirs.done if theirs.finished else 1 << (theirs.done.bit_length() - 1)
+        key = version, done
+        if self._pairs.get(side, (None,))[0] != key:
+            first, second = ours.rgb(), theirs.rgb()
+            if first.shape != second.shape:
+                return changed
+            error = compare.numbers(first, second, ours.radiance(), theirs.radiance(), theirs.done)
+            old = self.errors.get(side)
+            self.errors[side] = replace(error, flip=old.flip if old is not None else None)
+            self._pairs[side] = key, first, second
+            changed = True
+        if self._has_flip and self._asked.get(side) != key and not self._worker.busy:
+            self._asked[side] = key
+            self._worker.start((side, key), *self._pairs[side][1:])
+        return self._make_map(side) or changed
+
+    def _deliver(self, wait: bool = False) -> bool:
+        found = self._worker.result(wait)
+        if found is None:
+            return False
+        (side, key), error_map, mean = found
+        if self._asked.get(side) != key or side not in self.errors:
+            return False  # drawn anew meanwhile
+        self.errors[side] = replace(self.errors[side], flip=mean)
+        self._flips[side] = key, error_map
+        self._make_map(side)
+        return True
+
+    def _make_map(self, side: str) -> bool:
+        mode = self._session.mode
+        if mode == "difference" and side in self._pairs:
+            key, ours, theirs = self._pairs[side]
+            wanted = mode, key, self._session.gain
+            if self._maps.get(side, (None,))[0] != wanted:
+                high = 255.0 / self._session.gain
+                rgb, self.legend = views.heat(compare.difference(ours, theirs), high, "levels of 255")
+                self._maps[side] = wanted, self._upload(f"map {side}", rgb)
+                return True
+        if mode == "flip" and side in self._flips:
+            key, error_map = self._flips[side]
+            if self._maps.get(side, (None,))[0] != (mode, key):
+                rgb, self.legend = views.heat(error_map, 1.0, "FLIP")
+                self._maps[side] = (mode, key), self._upload(f"map {side}", rgb)
+                return True
+        if mode == "flip" and not self._has_flip:
+            self._session.say("FLIP needs flip-evaluator: pip install 'glhybrid[viewer]'", error=True)
+            self._session.mode = "difference"
+        return False
+
+    def map(self, side: str) -> Any:
+        """The texture of a side's map in the mode of now, row 0 at the top; None until it is made."""
+        found = self._maps.get(side)
+        return found[1] if found is not None and found[0][0] == self._session.mode else None
+
+    def settle(self) -> bool:
+        """Waits for FLIP; whether there was any."""
+        return self._deliver(wait=True)
+
+    def close(self) -> None:
+        self._worker.close()
