@@ -68,12 +68,12 @@ def wrong_shadow(subject: Subject, where: str = "all") -> Measured:
 
 
 @quantity("%")
-def false_light(subject: Subject) -> Measured:
-    """Pixels in true shadow that are lit, of those in true shadow that face the light."""
+def false_light(subject: Subject, over: float = 0.5) -> Measured:
+    """Pixels in true shadow that are lit, of those in true shadow that face the light. over: the share that counts."""
     case = subject.case
     counted = case.oracle.facing(case.seen(), case.scene.lights[0]) & (case.visibility() == 0)
     got, picture = subject.visibility()
-    lit = counted & (got > 0.5)
+    lit = counted & (got > over)
     return Measured(100 * float(lit.sum()) / max(int(counted.sum()), 1), marked(picture, lit))
 
 
