@@ -77,6 +77,41 @@ def false_light(subject: Subject, over: float = 0.5) -> Measured:
     return Measured(100 * float(lit.sum()) / max(int(counted.sum()), 1), marked(picture, lit))
 
 
+@quantity("%")
+def false_shadow(subject: Subject, under: float = 0.5) -> Measured:
+    """Pixels in the light that are dark, of those in the light. under: the visibility that counts."""
+    case = subject.case
+    counted = case.oracle.facing(case.seen(), case.scene.lights[0]) & (case.visibility() == 1)
+    got, picture = subject.visibility()
+    dark = counted & (got < under)
+    return Measured(100 * float(dark.sum()) / max(int(counted.sum()), 1), marked(picture, dark))
+
+
+@quantity("visibility")
+def seams(subject: Subject, samples: int = 256) -> Measured:
+    """The step in visibility between neighbouring pixels of smooth penumbrae that only 1 in 1,000 pairs exceeds.
+
+    Smooth: where rays to all of the lamp, as many as `samples`, find less than 0.03 of a step.
+    """
+    case = subject.case
+    true = subject.settings.replace(shadows="ray-soft", parameters={"shadows.ray-soft.samples": samples})
+    want, _ = case.once("soft", lambda: Subject(subject.renderer, case, true).visibility())
+    got, picture = subject.visibility()
+    seen, facing = case.seen(), case.oracle.facing(case.seen(), case.scene.lights[0])
+    steps, marks = [], np.zeros(want.shape, bool)
+    for axis in (0, 1):
+        low, high = ((slice(None, -1), slice(1, None))[k] for k in (0, 1))
+        pair = [(s, slice(None)) if axis == 0 else (slice(None), s) for s in (low, high)]
+        a, b = pair
+        flat = (seen.hit.normal[a] * seen.hit.normal[b]).sum(-1) > 0.9
+        smooth = facing[a] & facing[b] & flat & (seen.hit.instance[a] == seen.hit.instance[b])
+        smooth &= np.abs(want[a] - want[b]) < 0.03
+        step = np.abs(got[a] - got[b])
+        steps.append(step[smooth])
+        marks[a] |= smooth & (step > 0.08)
+    return Measured(float(np.quantile(np.concatenate(steps), 0.999)), marked(picture, marks))
+
+
 @quantity("visibility")
 def visibility_error(subject: Subject) -> Measured:
     """Mean distance of visibility from the truth, over pixels that face the light."""
