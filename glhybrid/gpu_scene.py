@@ -21,6 +21,7 @@ from glhybrid.motion import Moment, Motion
 from glhybrid.needs import Features
 from glhybrid.scene import F32, F64, SRGB_SLOTS, TEXTURE_SLOTS, U32, Light, Material, Scene
 
+_CAUSE = {"Lights": "lights", "Materials": "materials", "Textures": "textures", "TextureLevels": "textures"}
 SPARE_LEVELS = 8  # of the stack, for top-level trees that come out deeper as things move
 
 
@@ -108,9 +109,9 @@ class GpuScene:
         if geometry.attributes is not None:
             self._texels("attributes", geometry.attributes)
         self._upload_tables(features)
-        self.resources["Instances"] = self._buffer(self._instances.nbytes)
+        self.resources["Instances"] = self._buffer("Instances", self._instances.nbytes)
         self.lights = scene.lights if features.shadow_rays or features.visibility or scene.lights else ()
-        self.resources["Lights"] = self._buffer(max(len(self.lights), 1) * layout.dtype("Light").itemsize)
+        self.resources["Lights"] = self._buffer("Lights", max(len(self.lights), 1) * layout.dtype("Light").itemsize)
         self._origin: F64 | None = None
 
     @property
@@ -244,7 +245,7 @@ class GpuScene:
         """Makes room for where instances, and vertices too, were a frame ago: the motion AOV reads it."""
         if "PreviousInstances" not in self.resources:
             size = max(len(self._world), 1) * layout.dtype("Placement").itemsize
-            self.resources["PreviousInstances"] = self._buffer(size)
+            self.resources["PreviousInstances"] = self._buffer("PreviousInstances", size)
             self._previous, self._stale = self._world, True
         if vertices and "previous_vertices" not in self.resources:
             self._texels("previous_vertices", self.geometry.vertices)
@@ -304,18 +305,23 @@ class GpuScene:
         self._owned.clear()
         self.resources.clear()
 
-    def _buffer(self, size: int) -> moderngl.Buffer:
+    def _buffer(self, name: str, size: int) -> moderngl.Buffer:
+        self._check_block(name, size)
         buffer = self._context.gl.buffer(reserve=max(size, 16), dynamic=True)
         self._owned.append(buffer)
         return buffer
 
-    def _data(self, name: str, rows: np.ndarray) -> None:
+    def _check_block(self, name: str, size: int) -> None:
         limit = self._context.limits.storage_block_bytes
-        if rows.nbytes > limit:
+        if size > limit:
+            what = _CAUSE.get(name, "instances")
             raise GeometryError(
-                f"{self.scene.name}: {name} needs {rows.nbytes} bytes, this device's storage blocks hold {limit}: "
-                "use a device with a larger limit (glhybrid doctor lists them) or fewer instances"
+                f"{self.scene.name}: {name} needs {size} bytes, this device's storage blocks hold {limit}: "
+                f"use a device with a larger limit (glhybrid doctor lists them) or fewer {what}"
             )
+
+    def _data(self, name: str, rows: np.ndarray) -> None:
+        self._check_block(name, rows.nbytes)
         buffer = self._context.gl.buffer(rows.tobytes() or bytes(16))
         self._owned.append(buffer)
         self.resources[name] = buffer
@@ -341,6 +347,12 @@ class GpuScene:
         if features.textures:
             pages = textures.pack(geometry.materials)
             count, size = pages.pages.shape[:2]
+            most, side = self._context.limits.texture_layers, self._context.limits.texture_size
+            if count > most or size > side:
+                raise GeometryError(
+                    f"{self.scene.name}: the images fill {count} pages of {size} texels a side, this device has {most} "
+                    f"of {side}: use a device with larger limits (glhybrid doctor lists them) or smaller images"
+                )
             array = self._context.gl.texture_array((size, size, count), 4, pages.pages)
             array.filter = (moderngl.NEAREST, moderngl.NEAREST)
             self._owned.append(array)

@@ -14,7 +14,7 @@ import moderngl
 
 from glhybrid import layout
 from glhybrid.context import Context
-from glhybrid.errors import ShaderError
+from glhybrid.errors import GeometryError, ShaderError
 from glhybrid.gl import BufferTexture
 from glhybrid.load.builtin import data_folder
 from glhybrid.needs import Features
@@ -99,7 +99,7 @@ class Program:
             handle = program[member]
             if isinstance(handle, moderngl.StorageBlock):
                 handle.binding = blocks
-                self._bind[member] = self._block_binder(blocks)
+                self._bind[member] = self._block_binder(member, blocks)
                 blocks += 1
             elif isinstance(handle, moderngl.Uniform):
                 kind = handle.gl_type  # type: ignore[attr-defined]  # missing in moderngl's stub
@@ -127,8 +127,18 @@ class Program:
         return frozenset(self._bind)
 
     # `.mglo` is what moderngl's own methods call, after a Python call each: thirty of those in a frame are felt.
-    def _block_binder(self, unit: int) -> Callable[[Any], None]:
-        return lambda buffer: buffer.mglo.bind_to_storage_buffer(unit, 0, -1)
+    def _block_binder(self, member: str, unit: int) -> Callable[[Any], None]:
+        limit = self._context.limits.storage_block_bytes
+
+        def bind(buffer: Any) -> None:
+            if buffer.size > limit:  # what is behind the limit would read as zeros, and nothing would say so
+                raise GeometryError(
+                    f"{self.name}: {member} holds {buffer.size} bytes, this device's storage blocks {limit}: "
+                    "use a device with a larger limit (glhybrid doctor lists them) or a smaller scene or picture"
+                )
+            buffer.mglo.bind_to_storage_buffer(unit, 0, -1)
+
+        return bind
 
     def _sampler_binder(self, unit: int) -> Callable[[Any], None]:
         def bind(texture: Any) -> None:

@@ -27,10 +27,19 @@ class Targets:
         if name not in self._images:
             channel = CHANNELS[name]
             gl = self._context.gl
+            if layers > (most := self._context.limits.texture_layers):
+                raise SettingError(f"{name}: {layers} layers, one a light; this device's images have at most {most}")
             if layers:
                 image: Any = gl.texture_array((*self.size, layers), channel.components, dtype=channel.dtype)
             else:
                 image = gl.texture(size or self.size, channel.components, dtype=channel.dtype)
+            if errors := self._context.raw.errors():
+                image.release()
+                width, height = size or self.size
+                raise SettingError(
+                    f"{name}: no memory for {width}x{height} pixels" + (f" by {layers} lights" if layers else "")
+                    + f" ({', '.join(errors)}): ask for a smaller --size" + (" or use fewer lights" if layers else "")
+                )  # fmt: skip
             image.filter = (moderngl.NEAREST, moderngl.NEAREST)
             self._images[name] = image
         return self._images[name]
