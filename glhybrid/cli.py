@@ -65,6 +65,7 @@ class Common:
     reflections: Annotated[
         str | None, Parameter(help="Reflection technique: none, env, ray-lerp (the default) or reference.")
     ] = None
+    ao: Annotated[str | None, Parameter(help="Ambient occlusion of the sky: none (the default), ssao or ray.")] = None
     samples: Annotated[int | None, Parameter(help="Paths or rays per pixel of stochastic techniques; 64.")] = None
     bounces: Annotated[int | None, Parameter(help="Bounces after the first hit in reference; 8.")] = None
     time: Annotated[
@@ -101,7 +102,8 @@ class Common:
 
         settings = Settings().with_toml(self.config) if self.config is not None else Settings()
         flags = {
-            name: getattr(self, name) for name in ("shadows", "reflections", "samples", "bounces", "aa", "time", "clip")
+            name: getattr(self, name)
+            for name in ("shadows", "reflections", "ao", "samples", "bounces", "aa", "time", "clip")
         }
         settings = settings.replace(**{name: value for name, value in flags.items() if value is not None})
         return settings.with_overrides(self.set)

@@ -71,6 +71,9 @@ AOVS: dict[str, Aov] = {
     "triangle_id": Aov("uint32", ("id",), "index", "", NO_ID, "triangle within its mesh"),
     "motion": Aov("float32", ("X", "Y"), "pixels", "image, x right, y down", 0, "to where the point was a frame ago"),
     "visibility": Aov("float32", (), "0 to 1", "", 0, "how much of each light arrives"),
+    "occlusion": Aov(
+        "float32", ("Y",), "0 to 1", "", 1, "open share of the sky, by `ao`; 1 all over where that is off"
+    ),
     "reflection": Aov("float32", _RGB, "radiance", "linear Rec. 709", 0, "what the mirror direction shows"),
     "reflection_hit": Aov("float32", ("Z",), "m", "", 0, "length of the mirror ray; +inf: sky; 0: no ray was sent"),
     "reason": Aov("uint8", ("id",), "code", "", 0, "why a technique gave up at this pixel; 0: it did not"),

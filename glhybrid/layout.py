@@ -292,6 +292,8 @@ CHANNELS: dict[str, Channel] = {
         Channel("visibility", 1, "f1", "r8", "1 = light arrives; a layer a light"),
         Channel("visibility_tint", 4, "f2", "rgba16f", "the same through tinted surfaces"),
         Channel("visibility_soft", 4, "f2", "rgba16f", "the same with penumbras; their half width, m, 0 = not known"),
+        Channel("occlusion", 1, "f4", "r32f", "open share of the sky, 1 = all"),
+        Channel("occlusion_raw", 1, "f4", "r32f", "the same before its filter"),
         Channel("reflection", 4, "f4", "rgba32f", "radiance along the mirror direction, distance to what is seen"),
         Channel("reflection_sparse", 4, "f4", "rgba32f", "the same, of the pixels that a grid sends rays for"),
         Channel(

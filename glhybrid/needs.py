@@ -38,6 +38,7 @@ class Features:
     shadow_maps: bool = False  # and looks up depth maps, as do hits and layers
     map_filter: int = 0  # how (layout FILTER_*)
     lightmap: bool = False  # or baked light maps
+    occlusion: bool = False  # a pass for the open share of the sky runs
     reflections: bool = False  # a pass for what the mirror direction shows runs
     mirror_rays: bool = False  # and traces, as do blended layers
     probes: bool = False  # captured surroundings stand before the sky
@@ -130,6 +131,7 @@ def find(scene: Scene, settings: Settings) -> Needs:
     light_discs = (
         lit and (reference or settings.shadows == "ray-soft") and any(light.has_size for light in scene.lights)
     )
+    occlusion = settings.ao != "none" and environment and not (reference or all(m.unlit for m in materials))
     blended = any(m.alpha_mode == "BLEND" or m.transmission > 0 for m in materials)
     features = Features(
         spheres=any(isinstance(p, Sphere) for m in meshes for p in m.primitives),
@@ -154,6 +156,7 @@ def find(scene: Scene, settings: Settings) -> Needs:
         visibility=visibility,
         shadow_maps=shadow_maps,
         map_filter=_map_filter(settings) if shadow_maps else 0,
+        occlusion=occlusion,
         reflections=reflections,
         mirror_rays=reflections and reflecting.traced,
         march=reflections and reflecting.mirror_pass == "ssr",
@@ -185,6 +188,14 @@ def find(scene: Scene, settings: Settings) -> Needs:
         ("spheres", features.spheres, "every shape is made of triangles"),
         ("clearcoat lobe", features.clearcoat, "no material is coated"),
         ("environment", features.environment, "the scene has none"),
+        *[
+            (
+                "ambient occlusion",
+                occlusion,
+                f"ao = {settings.ao}" if settings.ao == "none" else "no sky lights the scene",
+            )
+        ]
+        * (not reference),
         *[("penumbras", light_discs, "no light has a size")] * (settings.shadows == "ray-soft" and visibility),
     ):
         if not present:

@@ -91,7 +91,9 @@ def make(
     else:
         shadow = "shadow_map" if features.shadow_maps else "shadow_soft" if features.light_discs else "shadow"
         shadow = "baked" if features.lightmap else shadow
-        passes += [shadow] * features.visibility + _mirror_passes(features, settings) + ["composite"]
+        occlusion = {"ssao": "ssao", "ray": "ray_ao"}.get(settings.ao, "")
+        passes += [shadow] * features.visibility + [occlusion] * features.occlusion
+        passes += [*_mirror_passes(features, settings), "composite"]
     passes.append("display")
     return Plan(features, levels, primary, split, tuple(passes), tuple(reasons), tuple(skipped))
 

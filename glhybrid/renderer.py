@@ -21,6 +21,7 @@ from glhybrid.passes.display import Display
 from glhybrid.passes.gbuffer import GBufferRaster, GBufferTrace
 from glhybrid.passes.glossy import Glossy
 from glhybrid.passes.probe import Probe
+from glhybrid.passes.ray_ao import RayAo
 from glhybrid.passes.reference import Reference
 from glhybrid.passes.reflect import Reflect
 from glhybrid.passes.reflect_sparse import ReflectSparse
@@ -28,6 +29,7 @@ from glhybrid.passes.shadow import Shadow
 from glhybrid.passes.shadow_map import ShadowMap
 from glhybrid.passes.shadow_soft import ShadowSoft
 from glhybrid.passes.sky import Sky
+from glhybrid.passes.ssao import Ssao
 from glhybrid.passes.ssr import Ssr
 from glhybrid.probe_capture import Capture
 from glhybrid.readback import Reading, at_once
@@ -249,6 +251,7 @@ class Staged:
         features = features.replace(
             bvh_stack=max(upload.stack_entries, upload.stack_needed()),
             reason="reason" in aovs,
+            occlusion=features.occlusion and not empty,
             reflections=features.reflections and not empty,
             mirror_rays=features.mirror_rays and not empty,
             march=features.march and not empty,
@@ -280,6 +283,9 @@ class Staged:
             upload.resources.update(self.shadow.resources)
         elif features.visibility:
             self.shadow = Shadow(shaders, upload, features)
+        self.occlusion: Ssao | RayAo | None = None
+        if features.occlusion:
+            self.occlusion = (Ssao if settings.ao == "ssao" else RayAo)(shaders, upload, features, settings)
         self.reflect: Reflect | ReflectSparse | Ssr | Glossy | None = None
         if features.march:
             self.reflect = Ssr(shaders, upload, features, settings)
@@ -423,16 +429,21 @@ class Staged:
         ids = run("gbuffer", lambda: self.gbuffer.run(targets))
         if self.shadow is not None:
             visibility = run(self.shadow.name, lambda: self.shadow.run(targets, ids, self._set_lights))  # type: ignore[union-attr]
-        reflections = self._reflections(run, ids, visibility)
-        return run("composite", lambda: self.composite.run(targets, ids, visibility, reflections))  # type: ignore[union-attr]
+        indirect = self._indirect(run, ids, visibility)
+        return run("composite", lambda: self.composite.run(targets, ids, visibility, indirect))  # type: ignore[union-attr]
 
-    def _reflections(self, run: Callable[[str, Callable[[], Any]], Any], ids: Any, visibility: Any) -> dict[str, Any]:
-        """What specular lobes show, by the technique in use: images by their channel."""
-        reflect, targets = self.reflect, self.targets
+    def _indirect(self, run: Callable[[str, Callable[[], Any]], Any], ids: Any, visibility: Any) -> dict[str, Any]:
+        """How open the sky is, and what specular lobes show, by the techniques in use: images by their channel."""
+        occlusion, reflect, targets = self.occlusion, self.reflect, self.targets
+        images = {}
+        if occlusion is not None:
+            images["occlusion"] = run(occlusion.name, lambda: occlusion.run(targets, ids))
         if isinstance(reflect, Ssr):
             screen = run(reflect.screen.name, lambda: reflect.screen.run(targets, ids))
-            return {"reflection": run(reflect.name, lambda: reflect.run(targets, ids, visibility, screen))}
-        return run(reflect.name, lambda: reflect.run(targets, ids)) if reflect is not None else {}
+            images["reflection"] = run(reflect.name, lambda: reflect.run(targets, ids, visibility, screen))
+        elif reflect is not None:
+            images |= run(reflect.name, lambda: reflect.run(targets, ids))
+        return images
 
     def _set_lights(self, first: int, end: int) -> None:
         self.set(light_first=first, light_end=end)
@@ -475,12 +486,16 @@ class Staged:
             visibility = None
             if self.shadow is not None:
                 visibility = self.shadow.run(self.targets, self._ids, self._set_lights)
-            self._reflections(lambda _, work: work(), self._ids, visibility)
+            self._indirect(lambda _, work: work(), self._ids, visibility)
         width, height = self.targets.size
         if name == "visibility":
             if self.shadow is None:
                 return outputs.constant(np.ones((height, width, len(self.upload.lights)), np.float32))
             return outputs.layers(self.targets.get(self.shadow.channel))
+        if name == "occlusion":
+            if self.occlusion is None:
+                return outputs.constant(np.ones((height, width), np.float32))
+            return outputs.texels(self.targets.get("occlusion"), 0, 1)
         if self.probe is not None and name in ("reflection", "reflection_hit", "reason"):
             self.probe.run(self.targets, self._ids)
         elif self.reflect is None and name in ("reflection", "reflection_hit", "reason"):

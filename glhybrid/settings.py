@@ -112,6 +112,7 @@ class Settings:
 
     shadows: str = _setting("ray", "shadow technique", str)
     reflections: str = _setting("ray-lerp", "reflection technique", str)
+    ao: str = _setting("none", "ambient occlusion technique", str)
     samples: int = _setting(
         64, "paths per pixel of the reference; other techniques have a parameter of that name", int, 1, 1 << 20
     )
@@ -147,6 +148,7 @@ class Settings:
             object.__setattr__(self, name, rule.check(name, getattr(self, name)))
         techniques.find("shadows", self.shadows)
         techniques.find("reflections", self.reflections)
+        techniques.find("ao", self.ao)
         object.__setattr__(self, "parameters", {k: _rule(k).check(k, v) for k, v in self.parameters.items()})
 
     def replace(self, **changes: Any) -> "Settings":

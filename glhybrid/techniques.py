@@ -12,7 +12,7 @@ from glhybrid.layout import CONSTANTS
 if TYPE_CHECKING:
     from glhybrid.settings import Settings
 
-Kind = Literal["shadows", "reflections"]
+Kind = Literal["shadows", "reflections", "ao"]
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Technique:
-    """One way to make shadows or reflections. stochastic: uses random numbers; more samples, less noise."""
+    """One way to make something of a picture. stochastic: uses random numbers; more samples, less noise."""
 
     kind: Kind
     name: str
@@ -71,6 +71,7 @@ _CUTOFF = Parameter(
     sweep=(0.5, 0.25),
 )
 _STEPS = Parameter("steps", 256, "cells of the depth pyramid that a ray looks at, at most", 1, 65536)
+_RADIUS = Parameter("radius", 1.0, "m: what is farther does not occlude", 1e-6, 1e9, sweep=())
 _PLANE = Parameter("receiver_plane", True, "each tap is compared with the depth of the receiver's plane there")
 
 _ALL = (
@@ -252,11 +253,33 @@ _ALL = (
         stochastic=True,
         traced=True,
     ),
+    Technique("ao", "none", "nothing keeps the sky from a surface but its occlusion texture", implemented=True),
+    Technique(
+        "ao",
+        "ssao",
+        "horizons in the G-buffer (GTAO)",
+        implemented=True,
+        parameters=(
+            _RADIUS,
+            Parameter("slices", 3, "through the view direction, a pixel", 1, 64, sweep=()),
+            Parameter("steps", 8, "to either side of a slice", 1, 256, sweep=()),
+        ),
+    ),
+    Technique(
+        "ao",
+        "ray",
+        "cosine-weighted rays of a limited length",
+        implemented=True,
+        stochastic=True,
+        traced=True,
+        parameters=(_RADIUS, Parameter("samples", 4, "rays a pixel", 1, 4096)),
+    ),
 )
 
 SHADOWS = {t.name: t for t in _ALL if t.kind == "shadows"}
 REFLECTIONS = {t.name: t for t in _ALL if t.kind == "reflections"}
-TECHNIQUES: dict[str, dict[str, Technique]] = {"shadows": SHADOWS, "reflections": REFLECTIONS}
+AO = {t.name: t for t in _ALL if t.kind == "ao"}
+TECHNIQUES: dict[str, dict[str, Technique]] = {"shadows": SHADOWS, "reflections": REFLECTIONS, "ao": AO}
 
 
 def find(kind: str, name: object) -> Technique:

@@ -16,10 +16,10 @@ class Composite:
         self._program = shaders.compute("composite", features)
         self._scene = scene
 
-    def run(self, targets: Targets, ids: Any, visibility: Any, reflections: Mapping[str, Any]) -> Any:
-        """reflections: images by channel, one a lobe if these are apart."""
+    def run(self, targets: Targets, ids: Any, visibility: Any, indirect: Mapping[str, Any]) -> Any:
+        """indirect: images by channel: the sky's occlusion, reflections, one a lobe if these are apart."""
         radiance = targets.get("radiance")
-        resources = {**self._scene.resources, **reflections, "gbuffer_id": ids, "radiance": radiance}
+        resources = {**self._scene.resources, **indirect, "gbuffer_id": ids, "radiance": radiance}
         if visibility is not None:
             resources["visibility"] = visibility
         self._program.dispatch(resources, targets.size)

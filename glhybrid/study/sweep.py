@@ -110,6 +110,8 @@ def skipped_axes(scene: Scene) -> dict[str, str]:
         skipped["shadows"] = "the scene has no light that casts shadows"
     if not any(needs.reflective(scene.materials[i], 1.0) for i in needs.used_materials(scene)):
         skipped["reflections"] = "no material is smoother than roughness 1"
+    if scene.environment is None:
+        skipped["ao"] = "no sky lights the scene"
     return skipped
 
 

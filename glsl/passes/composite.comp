@@ -11,6 +11,9 @@ layout(rgba32f) uniform image2D radiance;                  // coverage in a
 #if USE_VISIBILITY
 uniform sampler2DArray visibility;
 #endif
+#if USE_OCCLUSION
+uniform sampler2D occlusion;
+#endif
 #if USE_REFLECTIONS
 uniform sampler2D reflection;
 #endif
@@ -20,6 +23,9 @@ uniform sampler2D reflection_coat;
 
 vec3 surface_radiance(Pixel p, Surface s, ivec2 px) {
     if (s.unlit) return s.emissive;
+#if USE_OCCLUSION
+    s.occlusion *= texelFetch(occlusion, px, 0).r;
+#endif
     vec3 v = -p.ray.dir;
     vec3 sum = s.emissive;
     for (uint i = 0u; i < frame.light_count; i++) {

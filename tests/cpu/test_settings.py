@@ -11,7 +11,7 @@ from glhybrid.settings import Settings, describe
 
 def test_defaults_are_the_documented_ones() -> None:
     assert Settings().to_dict() == {
-        "shadows": "ray", "reflections": "ray-lerp", "samples": 64, "bounces": 8, "aa": None, "exposure": "auto",
+        "shadows": "ray", "reflections": "ray-lerp", "ao": "none", "samples": 64, "bounces": 8, "aa": None, "exposure": "auto",
         "tone": "pbr-neutral", "terminator": False, "seed": 0, "time": None,
         "clip": None, "rebuild": 1.5, "levels": "auto", "kernels": "auto", "primary": "auto",
     }  # fmt: skip

@@ -85,9 +85,9 @@ def test_pairs_are_of_both_fronts_and_new() -> None:
 
 
 def test_axes_that_change_nothing_are_skipped() -> None:
-    assert set(sweep.skipped_axes(Scene("empty"))) == {"shadows", "reflections"}
+    assert set(sweep.skipped_axes(Scene("empty"))) == {"shadows", "reflections", "ao"}
     lit = Scene("lit", lights=(Light("directional"),), materials=(Material(roughness=1.0),))
-    assert set(sweep.skipped_axes(lit)) == {"reflections"}
+    assert set(sweep.skipped_axes(lit)) == {"reflections", "ao"}
 
 
 # Fronts ---------------------------------------------------------------------------------------------------------------

@@ -1,0 +1,31 @@
+"""Ambient occlusion by cosine-weighted any-hit rays of a limited length -> the open share of each pixel's sky."""
+
+from typing import Any
+
+from glhybrid.gpu_scene import GpuScene
+from glhybrid.needs import Features
+from glhybrid.settings import Settings
+from glhybrid.shaders import Shaders
+from glhybrid.targets import Targets
+
+RAYS_AT_ONCE = 8  # of an invocation: llvmpipe ends all its loops at 65,535 turns
+
+
+class RayAo:
+    name = "ray_ao"
+
+    def __init__(self, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings) -> None:
+        self._program = shaders.compute("ray_ao", features)
+        self._scene = scene
+        self._rays = settings.parameter("ao.ray.samples")
+        self._radius = settings.parameter("ao.ray.radius")
+
+    def run(self, targets: Targets, ids: Any) -> Any:
+        """Returns `occlusion` of layout.py."""
+        occlusion = targets.get("occlusion")
+        resources = {**self._scene.resources, "gbuffer_id": ids, "out_occlusion": occlusion}
+        resources |= {"rays": self._rays, "ao_radius": self._radius}
+        for first in range(0, self._rays, RAYS_AT_ONCE):
+            ends = {"ray_first": first, "ray_end": min(first + RAYS_AT_ONCE, self._rays)}
+            self._program.dispatch(resources | ends, targets.size)
+        return occlusion

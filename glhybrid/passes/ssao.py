@@ -1,0 +1,34 @@
+"""Ambient occlusion from the G-buffer, by horizons (GTAO) -> the open share of each pixel's sky.
+
+It sees what the camera sees: nothing off the screen or behind something occludes, and everything is as thick as it is
+deep. Points and planes are exact, as those of `ssr`; noise of the slices is averaged over 5 x 5 pixels of one plane.
+"""
+
+from typing import Any
+
+from glhybrid.gpu_scene import GpuScene
+from glhybrid.needs import Features
+from glhybrid.settings import Settings
+from glhybrid.shaders import Shaders
+from glhybrid.targets import Targets
+
+
+class Ssao:
+    name = "ssao"
+
+    def __init__(self, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings) -> None:
+        self._planes = shaders.compute("screen_plane", features)
+        self._program = shaders.compute("ssao", features)
+        self._filter = shaders.compute("ssao_filter", features)
+        self._scene = scene
+        given = {name: settings.parameter(f"ao.ssao.{name}") for name in ("radius", "slices", "steps")}
+        self._uniforms = {"ao_radius": given["radius"], "slices": given["slices"], "steps": given["steps"]}
+
+    def run(self, targets: Targets, ids: Any) -> Any:
+        """Returns `occlusion` of layout.py."""
+        plane, raw, occlusion = (targets.get(name) for name in ("screen_plane", "occlusion_raw", "occlusion"))
+        resources = {**self._scene.resources, **self._uniforms, "gbuffer_id": ids, "screen_plane": plane}
+        self._planes.dispatch({**resources, "out_plane": plane}, targets.size)
+        self._program.dispatch({**resources, "out_occlusion": raw}, targets.size)
+        self._filter.dispatch({**resources, "occlusion_raw": raw, "out_occlusion": occlusion}, targets.size)
+        return occlusion
