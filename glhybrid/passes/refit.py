@@ -34,7 +34,7 @@ class Refit:
         self._rebuild = rebuild
         self._blas = {m: scene.geometry.meshes[m].blas for m in meshes}
         self._step = {m: self._blas[m].grid_step for m in meshes}
-        self._built_cost = {m: float("nan") for m in meshes}
+        self._built_cost = {m: self._blas[m].sah_cost for m in meshes}
         self._age = 0
         self.rebuilt = 0  # trees, since the scene was loaded
         self._program = shaders.compute("refit", features)
@@ -63,12 +63,9 @@ class Refit:
             return moved
         self._refit()
         self._age += 1
-        if self._rebuild and (self._age % CHECK_EVERY == 1 or any(np.isnan(c) for c in self._built_cost.values())):
+        if self._rebuild and self._age % CHECK_EVERY == 1:
             for mesh in self._meshes:
-                cost = self.sah_cost(mesh)
-                if np.isnan(self._built_cost[mesh]):
-                    self._built_cost[mesh] = cost
-                elif cost > self._rebuild * self._built_cost[mesh]:
+                if self.sah_cost(mesh) > self._rebuild * self._built_cost[mesh]:
                     moved[mesh] = self._build(mesh)
                     self._built_cost[mesh] = self._blas[mesh].sah_cost
         return moved

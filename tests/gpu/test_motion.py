@@ -2,6 +2,7 @@
 play against frames by seek, and motion vectors against positions projected in float64."""
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +37,7 @@ from glhybrid.scene import (
 )
 from glhybrid.settings import Settings
 from glhybrid.shaders import Shaders
+from glhybrid.stream import Shot
 from glhybrid.view import choose_camera, make_view
 
 if TYPE_CHECKING:
@@ -157,7 +159,7 @@ def test_vertices_are_those_of_the_oracle(context: "Context", models: Path, name
 
 
 @pytest.mark.parametrize("rebuild", [0.0, 1.0, 1.01])
-@pytest.mark.parametrize("name", ["CesiumMan", "Fox", "RiggedFigure", "AnimatedMorphCube", "deformer"])
+@pytest.mark.parametrize("name", ["CesiumMan", "Fox", "RiggedFigure", "AnimatedMorphCube", "SimpleMorph", "deformer"])
 def test_hits_stay_exact_mid_clip(context: "Context", models: Path, name: str, rebuild: float) -> None:
     """The trees were built at rest: refitted, built anew every frame, or when a little worse, no hit may be lost."""
     pytest.importorskip("embreex")
@@ -186,6 +188,28 @@ def test_hits_stay_exact_mid_clip(context: "Context", models: Path, name: str, r
         refit = tracer.mover.refit
         assert refit is not None
         assert refit.rebuilt == {0.0: 0, 1.0: 3 * len(tracer.motion.deformers)}.get(rebuild, refit.rebuilt)
+
+
+@pytest.mark.parametrize("rebuild", [0.0, 1.05])
+def test_hits_stay_exact_on_a_hundred_thousand_triangles(context: "Context", rebuild: float) -> None:
+    """A body that eight joints a vertex and two targets bend out of shape, its tree refitted, or built anew on the way."""
+    pytest.importorskip("embreex")
+    rng = np.random.default_rng(6)
+    with MovingTracer(context, deformer_scene(160), rebuild=rebuild) as tracer:
+        assert len(tracer.geometry.triangles) > 100_000
+        for time in (0.35, 0.8):
+            tracer.show(time)
+            corners, rows, _ = tracer.triangles()
+            embree = oracles.Embree(corners)
+            low, high = corners.min((0, 1)), corners.max((0, 1))
+            n = ray.count(10_000)
+            aimed = corners[rng.integers(0, len(corners), n)].mean(1)
+            origin = aimed + np.linalg.norm(high - low) * ray.sphere_directions(rng, n)
+            for these in (ray.camera_rays(low, high, n, rng), Rays.make(origin, ray.unit(aimed - origin))):
+                verdict = oracles.compare(tracer, these, tracer.trace(these), embree, corners, rows)
+                assert verdict.wrong == 0 and verdict.hits > n // 10, verdict
+        refit = tracer.mover.refit
+        assert refit is not None and (refit.rebuilt > 0) == (rebuild > 0)
 
 
 def test_sah_cost_on_the_gpu_is_that_of_the_builder(context: "Context") -> None:
@@ -226,6 +250,35 @@ def test_a_frame_is_the_same_by_play_and_by_seek(context: "Context", models: Pat
         reference = renderer.render(at_time(scene, times[2], "Run"), size=(96, 64), settings=Settings(aa=1))
     off = np.abs(sought["radiance"] - reference["radiance"]).max(-1) > 1e-3 * (1 + reference["radiance"].max(-1))
     assert off.mean() < 2e-3  # rounding at silhouettes
+
+
+CLIPS = {"CesiumMan": 1, "Fox": 3, "RiggedFigure": 1, "AnimatedMorphCube": 1, "SimpleSkin": 1, "SimpleMorph": 1,
+         "BoxAnimated": 1, "InterpolationTest": 9}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CLIPS)
+def test_every_clip_of_a_file_plays_as_it_is_sought(context: "Context", models: Path, name: str) -> None:
+    """All AOVs, bit for bit: frame by frame with trees refitted and built anew on the way, backwards, and at once."""
+    files = (models / name / f"{name}.glb", models / name / f"{name}.gltf")
+    scene = load(next(f for f in files if f.exists()))
+    assert len(scene.animations) == CLIPS[name]
+    names = ("position", "normal", "instance_id", "triangle_id", "visibility")
+    for clip in scene.animations[:2]:
+        start, end = clip_span(clip)
+        times = [start + share * (end - start) for share in (0.1, 0.4, 0.7, 0.9)]
+        chosen = Settings(aa=1, clip=str(scene.animations.index(clip)), rebuild=1.05)
+        with Renderer(context=context) as renderer:
+            played = list(renderer.frames(scene, [Shot(t) for t in times], (40, 30), chosen, names))
+            back = list(renderer.frames(scene, [Shot(t) for t in times[::-1]], (40, 30), chosen, names))[::-1]
+        with Renderer(context=context) as renderer:
+            sought = renderer.render(
+                scene, size=(40, 30), settings=chosen.replace(time=times[2], rebuild=0), aovs=names
+            )
+        for frame in (back[2], sought):
+            np.testing.assert_array_equal(frame.rgb, played[2].rgb)
+            for aov in names:
+                np.testing.assert_array_equal(frame[aov], played[2][aov], err_msg=aov)
+        assert any((a.rgb != b.rgb).any() for a, b in pairwise(played))
 
 
 def test_what_stands_still_costs_nothing(context: "Context", models: Path) -> None:
