@@ -92,6 +92,29 @@ class ShortStack(Subject):
         return instance, found.reshape(shape), grey(0.2 + 0.6 * (instance >= 0))
 
 
+class MoellerTrumbore(Subject):
+    """The test of Moeller & Trumbore (1997) in float32 world space: neighbours decide on their edge one by one."""
+
+    def hits(self, camera: int = 0) -> tuple[I64, F64, Picture]:
+        seen, f32 = self.case.seen(camera), np.float32
+        shape = seen.covered.shape
+        origin, direction = (a.reshape(-1, 3).astype(f32) for a in (seen.origin, seen.direction))
+        v0, v1, v2 = Oracle(self.case.scene, precision=np.float32).triangles.astype(f32).transpose(1, 0, 2)
+        a, b = v1 - v0, v2 - v0
+        nearest = np.full(len(origin), np.inf)
+        for first in range(0, len(origin), 256):  # rays at once, each with all triangles
+            o, d = origin[first : first + 256, None], direction[first : first + 256, None]
+            p, s = np.cross(d, b), o - v0
+            with np.errstate(divide="ignore", invalid="ignore"):
+                scale = f32(1) / (a * p).sum(-1)
+                q = np.cross(s, a)
+                u, v, t = (s * p).sum(-1) * scale, (d * q).sum(-1) * scale, (b * q).sum(-1) * scale
+                hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)
+            nearest[first : first + 256] = np.where(hit, t, np.inf).min(1)
+        instance = np.where(np.isfinite(nearest), 0, -1).reshape(shape)
+        return instance, nearest.reshape(shape), grey(0.2 + 0.6 * (instance >= 0))
+
+
 def _enters(corners: F64, origin: F64, direction: F64) -> Any:
     """(R,) whether rays meet the box around some triangles."""
     low, high = corners.min((0, 1)), corners.max((0, 1))
@@ -103,6 +126,7 @@ def _enters(corners: F64, origin: F64, direction: F64) -> Any:
 
 CONTROLS: dict[str, type[Subject]] = {
     "fixed-epsilon": FixedEpsilon,
+    "moeller-trumbore": MoellerTrumbore,
     "naive-slabs": NaiveSlabs,
     "short-stack": ShortStack,
 }
