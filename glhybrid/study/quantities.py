@@ -5,15 +5,15 @@ A measure takes a Subject and the options of the [study] table, its keyword argu
 
 import inspect
 from collections.abc import Callable
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from glhybrid.errors import SettingError, unknown
-from glhybrid.scene import F64, Camera, Study
-from glhybrid.study import metrics
+from glhybrid.image import Frame
+from glhybrid.scene import F64, Study
+from glhybrid.study import metrics, temporal
 from glhybrid.study.subject import Case, Measured, Subject, marked
 
 
@@ -209,43 +209,28 @@ def border_step(subject: Subject, band: int = 16) -> Measured:
 
 
 @quantity("% a frame")
-def flips(subject: Subject, what: str = "visibility", frames: int = 9, step: float = 1.0) -> Measured:
-    """Points of surfaces whose shadow changes from frame to frame of a pan by whole pixels of an orthographic camera.
+def flips(subject: Subject, what: str = "visibility", frames: int = 9) -> Measured:
+    """Points whose shadow changes sides from frame to frame of a pan by whole pixels of an orthographic camera.
 
-    what: visibility, or reflection: its radiance by more than a tenth. step: pixels a frame, whole.
+    what: visibility, or reflection: mirror images that change by more than a thousandth.
     """
     case = subject.case
     camera, size = case.scene.cameras[0], case.study.size
-    assert camera.fov_y == 0 and step == int(step), "a pan shows the same points again only without perspective"
-    pixel = 2 * camera.ymag / size[1]
-    aov = "visibility" if what == "visibility" else "reflection"
-    seen: list[Any] = []
-    picture, marks = None, np.zeros(size[::-1], bool)
+    assert camera.fov_y == 0, "a pan shows the same points again only without perspective"
+    shots: list[Frame] = []
     for k in range(frames):
         pose = camera.world_from_view.copy()
-        pose[:3, 3] += k * step * pixel * pose[:3, 0]
-        frame = subject.frame(
-            aov, "triangle_id", "instance_id", camera=Camera(f"pan {k}", pose, fov_y=0, ymag=camera.ymag)
-        )
-        picture = frame.rgb if picture is None else picture
-        seen.append((frame[aov], frame["triangle_id"], frame["instance_id"]))
-    changed = counted = 0
-    shift = int(step)
-    for k, (old, new) in enumerate(pairwise(seen)):
-        before, after = [a[:, shift:] for a in old], [a[:, : size[0] - shift] for a in new]
-        same = (before[1] == after[1]) & (before[2] == after[2])
-        if what == "visibility":
-            flipped = ((before[0] > 0.5) != (after[0] > 0.5)).any(-1)
-        else:
-            level = np.abs(before[0]).max(-1)
-            same &= level > 0
-            flipped = np.abs(before[0] - after[0]).max(-1) > 0.1 * level
-        flipped &= same
-        changed, counted = changed + int(flipped.sum()), counted + int(same.sum())
-        first = (k + 1) * shift  # on the first picture
-        marks[:, first:] |= flipped[:, : size[0] - first]
-    assert picture is not None
-    return Measured(100 * changed / max(counted, 1), marked(picture, marks))
+        pose[:3, 3] += k * 2 * camera.ymag / size[1] * pose[:3, 0]
+        moved = replace(camera, name=f"pan {k}", world_from_view=pose)
+        shots.append(subject.frame(what, "motion", "triangle_id", "instance_id", camera=moved))
+    old, new = shots[-2:]
+    fixed, row, column = temporal.matches(old, new)
+    if what == "visibility":
+        rate, marks = temporal.flip_rate(shots), ((old[what][row, column] > 0.5) != (new[what] > 0.5)).any(-1)
+    else:
+        rate = temporal.change_rate(shots, [np.asarray((shot[what] > 0).any(-1)) for shot in shots[1:]])
+        marks = np.abs(old[what][row, column] - new[what]).max(-1) > 0.1 * new[what].max(-1)
+    return Measured(rate, marked(new.rgb, fixed & marks))
 
 
 # Mirrors ---------------------------------------------------------------------------------------------------------
