@@ -14,9 +14,17 @@ layout(r8ui) writeonly uniform uimage2D out_reason;
 #endif
 uniform float march_fade;            // share of the screen's width and height over which hits fade towards its border
 
-vec3 shade_seen(Found found, Ray ray, float width) {
+// Radiance of a hit. seen: the pixel px shows it, and the shadow pass has been there; else rays ask, or depth maps. One piece
+// of code for both: a CPU runs what stands in either branch.
+vec3 shade_found(Hit hit, Ray ray, float width, bool seen, ivec2 px) {
+#if USE_SHADOW_BITS
+    uint lit = 0u;
+    for (uint i = 0u; i < frame.light_count && seen; i++) lit |= texelFetch(visibility, ivec3(px, i), 0).r > 0.5 ? 1u << i : 0u;
+    if (MIRROR_RAYS && !seen) lit = lit_bits(hit, ray);
+    return shade_hit(hit, ray, width, lit);
+#else
     vec3 v = -ray.dir;
-    Surface s = surface_at(found.hit, ray, width);
+    Surface s = surface_at(hit, ray, width);
     if (s.unlit) return s.emissive;
     vec3 sum = s.emissive;
     for (uint i = 0u; i < frame.light_count; i++) {
@@ -24,13 +32,15 @@ vec3 shade_seen(Found found, Ray ray, float width) {
         if (!arrives(l) || !faces(s, l.dir)) continue;
         vec3 light = bsdf_eval(s.bsdf, v, l.dir) * l.irradiance;
 #if USE_VISIBILITY
-        vec4 vis = texelFetch(visibility, ivec3(found.px, i), 0);
-        light *= BLENDED ? vis.rgb : vis.rrr;
+        vec4 vis = texelFetch(visibility, ivec3(px, i), 0);
+        if (seen) light *= BLENDED ? vis.rgb : vis.rrr;
+        else if (MIRROR_RAYS) light *= visibility_from(s.point, l, i);
 #endif
         sum += light;
     }
     bool bent;
     return sum + indirect_light(s, v, mirror_direction(s, v, bent), vec3(0.0), false);
+#endif
 }
 
 // 1 in the middle of the screen, 0 at its border.
@@ -55,27 +65,18 @@ void main() {
             float width = footprint(p.hit.t), spread = frame.orthographic == 1u ? 0.0 : frame.pixel_angle;
             Found found = march(ray, px);
             reason = found.reason;
-            result.a = found.hit.t;
-            bool sure = found.hit.triangle != ID_NONE || reason == REASON_ENVIRONMENT;
-#if USE_MIRROR_RAYS
-            if (sure) {
-                if (found.hit.triangle == ID_NONE) result.rgb = environment_radiance(r);
-                else result.rgb = shade_seen(found, ray, width + spread * found.hit.t);
-#if USE_BLENDED
-                result.rgb = through_layers(ray, width, spread, found.hit.t, result.rgb);
-#endif
-            } else {
-                Hit hit;
-                result.rgb = trace_radiance(ray, width, spread, hit);
-                result.a = hit.t;
-            }
-#else
-            if (reason == REASON_ENVIRONMENT) result.rgb = environment_radiance(r);
+            Hit hit = found.hit;
+            bool seen = hit.triangle != ID_NONE;
+            if (MIRROR_RAYS && !seen && reason != REASON_ENVIRONMENT) hit = closest_hit(ray);
+            result.a = hit.t;
+            if (MIRROR_RAYS || reason == REASON_ENVIRONMENT) result.rgb = environment_radiance(r);
             else result.rgb = environment_prefiltered(r, mirror_roughness(s));
-            if (found.hit.triangle != ID_NONE) {
-                float weight = inside_screen(found.px) * square(1.0 - smoothstep(0.0, 1.0, found.gap));
-                result.rgb = mix(result.rgb, shade_seen(found, ray, width + spread * found.hit.t), weight);
+            if (hit.triangle != ID_NONE) {
+                float weight = MIRROR_RAYS ? 1.0 : inside_screen(found.px) * square(1.0 - smoothstep(0.0, 1.0, found.gap));
+                result.rgb = mix(result.rgb, shade_found(hit, ray, width + spread * hit.t, seen, found.px), weight);
             }
+#if USE_MIRROR_RAYS && USE_BLENDED
+            result.rgb = through_layers(ray, width, spread, hit.t, result.rgb);
 #endif
             if (reason == REASON_NONE && bent) reason = REASON_BELOW;
         }
