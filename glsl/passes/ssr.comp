@@ -34,7 +34,7 @@ vec3 shade_found(Hit hit, Ray ray, float width, bool seen, ivec2 px) {
 #if USE_VISIBILITY
         vec4 vis = texelFetch(visibility, ivec3(px, i), 0);
         if (seen) light *= BLENDED ? vis.rgb : vis.rrr;
-        else if (MIRROR_RAYS) light *= visibility_from(s.point, l, i);
+        else if (MIRROR_RAYS) light *= visibility_from(s, l, i);
 #endif
         sum += light;
     }

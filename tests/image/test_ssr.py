@@ -28,6 +28,7 @@ NONE, OFF, HIDDEN, BACK, FACING, STEPS, GUESS, SKY = (
     CONSTANTS[f"REASON_{n}"]
     for n in ("NONE", "OFF_SCREEN", "HIDDEN", "BACK_FACE", "FACING", "STEPS", "THICKNESS", "ENVIRONMENT")
 )
+OTHER = ("primary", "levels", "aa", "shadows")  # settings that are not the technique's
 HALF_FLOAT = 0.02  # m: colours of vertices are half floats, 16 m over 2^11 steps, and a pixel of a wall is as wide
 
 
@@ -40,8 +41,8 @@ def renderer(_shared_context: "Context") -> Iterator[gh.Renderer]:
 def shot(
     renderer: gh.Renderer, made: Scene, technique: str, size: tuple[int, int] = SIZE, **parameters: Any
 ) -> gh.Frame:
-    own = {f"reflections.{technique}.{k}": v for k, v in parameters.items() if k not in ("primary", "levels", "aa")}
-    rest = {k: v for k, v in parameters.items() if k in ("primary", "levels", "aa")}
+    own = {f"reflections.{technique}.{k}": v for k, v in parameters.items() if k not in OTHER}
+    rest = {k: v for k, v in parameters.items() if k in OTHER}
     settings = gh.Settings(reflections=technique, exposure=0.0, parameters=own, **{"aa": 1} | rest)
     return renderer.render(made, size=size, settings=settings, aovs=AOVS)
 
@@ -159,6 +160,10 @@ def gallery() -> dict[str, tuple[Scene, dict[str, Any]]]:
         "jittered": (turned, {"aa": 2}),
         "cut out": (scene([ground, (card, cut)], **world), {}),
         "blended": (layered, {}),
+        "blended, depth maps": (layered, {"shadows": "pcf"}),
+        "depth maps": (turned, {"shadows": "csm"}),
+        "soft": (turned.replace(lights=(replace(turned.lights[0], angular_diameter=0.02),)), {"shadows": "ray-soft"}),
+        "no shadows": (turned, {"shadows": "none"}),
         "orthographic": (parallel, {}),
         "empty": (scene([], **world), {}),
     }
