@@ -54,7 +54,7 @@ STRUCTS: dict[str, list[Row]] = {
         ("uint", "top_root", "root node of the top-level tree"),
         ("vec3", "top_grid_min", "of the top-level tree, origin-relative"),
         ("vec3", "top_grid_step", ""),
-        ("float", "emissive_weight", "sum of area times luminance over emissive triangles (reference)"),
+        ("float", "emissive_weight", "sum of area times luminance over emissive triangles and spheres (reference)"),
     ],
     "Instance": [
         ("mat4x3", "world_from_object", "origin-relative, m"),
@@ -164,9 +164,8 @@ STRUCTS: dict[str, list[Row]] = {
     ],
     "Emitter": [  # reference only
         ("uint", "instance", "row of instances"),
-        ("uint", "triangle", "row of triangles"),
-        ("float", "cdf", "upper end of this triangle's share of emissive_weight, 0 to 1"),
-        ("float", "luminance", "of the material's emissive factor"),
+        ("uint", "triangle", "row of triangles: a triangle or a sphere"),
+        ("float", "cdf", "upper end of its share of emissive_weight, 0 to 1"),
     ],
 }
 

@@ -48,7 +48,7 @@ class Features:
     glossy: bool = False  # or gathers rays over specular lobes
     glossy_coat: bool = False  # of the clearcoat, in passes/glossy.comp
     denoise: bool = False  # a filter follows
-    emitters: bool = False  # reference: some triangles shine
+    emitters: bool = False  # reference: something shines
     terminator: bool = False
     reason: bool = False
     sphere_proxy: bool = False
