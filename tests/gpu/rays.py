@@ -235,14 +235,18 @@ class Found:
 
 
 def world_triangles(g: geometry.Geometry, origin: F64) -> tuple[F64, U32, U32]:
-    """Every triangle of every instance relative to origin, float64: corners (T, 3, 3), row of triangles, instance."""
+    """Every triangle of every instance relative to origin, float64: corners (T, 3, 3), row of triangles, instance.
+
+    Of the scene as it is uploaded: vertices are float32, and so are matrices.
+    """
     corners, rows, instances = [np.zeros((0, 3, 3))], [np.zeros(0, np.uint32)], [np.zeros(0, np.uint32)]
     for i, (mesh, pose) in enumerate(zip(g.instance_mesh, g.world_from_object, strict=True)):
         m = g.meshes[mesh]
         spheres = {s[0] for s in m.spheres}
         kept = [r for first, n in m.geometries for r in range(first, first + n) if r not in spheres]
         local = g.vertices[g.triangles[kept, :3], :3].astype(np.float64)
-        corners.append(local @ pose[:3, :3].T + (pose[:3, 3] - origin))
+        linear, shift = (x.astype(np.float32).astype(np.float64) for x in (pose[:3, :3], pose[:3, 3] - origin))
+        corners.append(local @ linear.T + shift)
         rows.append(np.array(kept, np.uint32))
         instances.append(np.full(len(kept), i, np.uint32))
     return np.concatenate(corners), np.concatenate(rows), np.concatenate(instances)

@@ -1,5 +1,6 @@
 // probes/trace.comp -- rays from a buffer through lib/bvh.glsl, hits to a buffer.
 #include "lib/bvh.glsl"
+#include "lib/exact.glsl"
 
 layout(local_size_x = 64) in;
 layout(std430) readonly buffer Rays { vec4 rays[]; };      // origin, t_min; direction, t_max
@@ -11,6 +12,6 @@ void main() {
     if (i >= ray_count) return;
     Ray ray = Ray(rays[2u * i].xyz, rays[2u * i].w, rays[2u * i + 1u].xyz, rays[2u * i + 1u].w);
     Hit hit = closest_hit(ray);
-    hits[2u * i] = uvec4(floatBitsToUint(hit.t), floatBitsToUint(hit.bary), hit.triangle);
+    hits[2u * i] = uvec4(floatBitsToUint(float(exact_t(hit, ray))), floatBitsToUint(hit.bary), hit.triangle);
     hits[2u * i + 1u] = uvec4(hit.instance, hit.geometry, floatBitsToUint(max3(any_hit(ray))), 0u);
 }
