@@ -51,6 +51,7 @@ class Features:
     emitters: bool = False  # reference: something shines
     terminator: bool = False
     reason: bool = False
+    exact_distance: bool = False  # lengths of reflection rays in double precision, for the AOV
     sphere_proxy: bool = False
     clip_control: bool = True
     moving: bool = False  # the motion AOV is asked for and things move

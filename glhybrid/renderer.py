@@ -252,6 +252,7 @@ class Staged:
             bvh_stack=max(upload.stack_entries, upload.stack_needed()),
             reason="reason" in aovs,
             occlusion=features.occlusion and not empty,
+            exact_distance="reflection_hit" in aovs,
             reflections=features.reflections and not empty,
             mirror_rays=features.mirror_rays and not empty,
             march=features.march and not empty,
@@ -320,7 +321,8 @@ class Staged:
             return False
         if self.mover is not None and ("motion" in aovs) != self.features.moving:
             return False
-        return ("reason" in aovs) == self.features.reason and not self.outgrown
+        told = ("reason" in aovs, "reflection_hit" in aovs)
+        return told == (self.features.reason, self.features.exact_distance) and not self.outgrown
 
     def shares_upload(self, scene: Scene, settings: Settings) -> bool:
         """Whether trees, buffers and what moves them serve these settings too."""

@@ -2,6 +2,7 @@
 // is off by up to 2 ulp of the coordinates, which at grazing rays and near the origin of a ray is more than 1e-5 of it.
 #include "lib/geometry.glsl"
 
+#if USE_EXACT_DISTANCE
 double exact_t(Hit hit, Ray ray) {
     if (hit.triangle == ID_NONE) return double(hit.t);
     Instance inst = instances[hit.instance];
@@ -25,3 +26,4 @@ double exact_t(Hit hit, Ray ray) {
     if (facing == 0.0LF) return double(hit.t);                             // edge-on
     return dot(to_world * v0 + dvec3(inst.world_from_object[3]) - o, n) / facing;
 }
+#endif

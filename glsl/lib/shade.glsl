@@ -5,6 +5,7 @@
 #include "lib/environment.glsl"
 #include "lib/probe.glsl"
 #include "lib/shadow_map.glsl"
+#include "lib/exact.glsl"
 #include "lib/low_discrepancy.glsl"
 
 #if USE_SPECULAR_SKY || USE_REFLECTIONS || USE_PROBES
@@ -184,9 +185,17 @@ vec3 through_layers(Ray ray, float width_0, float spread, float t_end, vec3 radi
 }
 #endif
 
+// A hit whose distance somebody will read.
+Hit measured(Hit hit, Ray ray) {
+#if USE_EXACT_DISTANCE
+    hit.t = float(exact_t(hit, ray));
+#endif
+    return hit;
+}
+
 // Radiance along a ray whose cone has width_0 at its origin and widens by `spread` a metre: what a reflection shows.
 vec3 trace_radiance(Ray ray, float width_0, float spread, out Hit hit) {
-    hit = closest_hit(ray);
+    hit = measured(closest_hit(ray), ray);
     vec3 radiance = vec3(0.0);
     if (hit.triangle == ID_NONE) radiance = environment_radiance(ray.dir);
     else radiance = shade_hit(hit, ray, width_0 + spread * hit.t);

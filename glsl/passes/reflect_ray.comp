@@ -22,7 +22,8 @@ void main() {
         bool smooth_enough = sends_mirror_ray(s);
         reason = smooth_enough ? (bent ? REASON_BELOW : REASON_NONE) : REASON_ROUGH;
         if (smooth_enough) {
-            hit = closest_hit(Ray(ray_origin(s.point, r), 0.0, r, INFINITY));
+            Ray ray = Ray(ray_origin(s.point, r), 0.0, r, INFINITY);
+            hit = measured(closest_hit(ray), ray);
             if (hit.triangle == ID_NONE && !bent) reason = REASON_ENVIRONMENT;
         }
     }

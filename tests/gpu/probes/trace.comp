@@ -12,6 +12,9 @@ void main() {
     if (i >= ray_count) return;
     Ray ray = Ray(rays[2u * i].xyz, rays[2u * i].w, rays[2u * i + 1u].xyz, rays[2u * i + 1u].w);
     Hit hit = closest_hit(ray);
-    hits[2u * i] = uvec4(floatBitsToUint(float(exact_t(hit, ray))), floatBitsToUint(hit.bary), hit.triangle);
+#if USE_EXACT_DISTANCE
+    hit.t = float(exact_t(hit, ray));
+#endif
+    hits[2u * i] = uvec4(floatBitsToUint(hit.t), floatBitsToUint(hit.bary), hit.triangle);
     hits[2u * i + 1u] = uvec4(hit.instance, hit.geometry, floatBitsToUint(max3(any_hit(ray))), 0u);
 }
