@@ -265,6 +265,10 @@ def bench(
     ],
     quick: Annotated[bool, Parameter(help="Under a minute on two cores: fewer variants, sizes and rays.")] = False,
     peers: Annotated[bool, Parameter(help="Embree and Mitsuba on the same rays, where installed.")] = False,
+    scale: Annotated[
+        bool, Parameter(help="Instead: a frame's cost over triangles, pixels, lights and instances, with exponents.")
+    ] = False,
+    svg: Annotated[str | None, Parameter(help="With --scale: where to write its charts.")] = None,
     device: Annotated[str, Parameter(help="auto, gpu, software, egl:N, cuda:N or osmesa.")] = "auto",
     size: Annotated[
         str | None, Parameter(help="Pixels, WxH; 1920x1080 on a GPU, else 1280x720, or 480x270 with --quick.")
@@ -276,6 +280,10 @@ def bench(
     """Measure ray rates, frames and the tree builder; exit status 1 if any two variants find different hits."""
     common = Common(allow_outside=allow_outside) if size is None else Common(size=size, allow_outside=allow_outside)
     pixels = None if size is None else common.pixels()
+    if scale:
+        return _bench_scale(quick, device, pixels, svg, json, quiet)
+    if svg is not None:
+        raise SettingError("--svg: the charts are those of --scale")
     from glhybrid import bench as benchmark
     from glhybrid.bench.report import show
 
@@ -290,6 +298,27 @@ def bench(
     for failure in report.failures:
         console.error(failure)
     return 1 if report.failures else 0
+
+
+def _bench_scale(
+    quick: bool, device: str, size: tuple[int, int] | None, svg: str | None, as_json: bool, quiet: bool
+) -> int:
+    from glhybrid.bench import scale
+    from glhybrid.context import open_context
+    from glhybrid.image import replacing
+
+    if svg is not None and Path(svg).suffix.lower() != ".svg":
+        raise SettingError(f"--svg {svg}: the charts are SVG: give a name that ends in .svg")
+    with open_context(device) as context, console.progress(not (quiet or as_json)) as progress:
+        result = scale.run(quick=quick, context=context, size=size, progress=progress)
+    if svg is not None:
+        with replacing(Path(svg)) as temporary:
+            temporary.write_text(scale.chart(result), encoding="utf-8")
+    if as_json:
+        _print_json(result.to_dict())
+    else:
+        scale.show(result)
+    return 0
 
 
 @app.command

@@ -176,6 +176,17 @@ def make(name: str, triangles: int) -> Scene:
     )
 
 
+def ball(triangles: int) -> Triangles:
+    """A ball of radius 1 m about the origin, of about that many triangles."""
+    surface = _ball((0, 0, 0), 1.0)
+    return _piece([surface], _cell_size([surface], triangles))
+
+
+def floor() -> Mesh:
+    """The plane that the spheres stand on, as one square."""
+    return Mesh("floor", (_piece(SITES["spheres"]().bodies[0], 1e3),))
+
+
 def _piece(surfaces: list[Surface], size: float) -> Triangles:
     parts = [surface.cut(size) for surface in surfaces]
     first = np.cumsum([0, *(len(position) for position, _, _ in parts[:-1])])
