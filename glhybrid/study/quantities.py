@@ -368,6 +368,29 @@ def _ramp(profile: Any) -> float:
     return float(width[np.unravel_index(explained.argmax(), explained.shape)[0], 0, 0])
 
 
+# Ambient occlusion ----------------------------------------------------------------------------------------------
+
+
+@quantity("open share")
+def occlusion_error(subject: Subject, height: float, reach: float = 3.0) -> Measured:
+    """Mean distance of ambient occlusion from its closed form, on the floor y = 0 before a wall of a height at x = 0.
+
+    A(x) = (1 + x / sqrt(x^2 + height^2)) / 2 for an endless wall; only where 0 < x < reach.
+    """
+    seen, frame = subject.case.seen(), subject.frame("occlusion")
+    x = seen.position[..., 0]
+    floor = seen.covered & (np.abs(seen.position[..., 1]) < 1e-6) & (x > 0) & (x < reach)
+    error = np.abs(frame["occlusion"] - 0.5 * (1 + x / np.hypot(x, height)))
+    return Measured(float(error[floor].mean()), marked(frame.rgb, floor & (error > 0.1)))
+
+
+@quantity("%")
+def sky_let_in(subject: Subject) -> Measured:
+    """The open share of the sky that ambient occlusion finds, as a mean over all pixels: of a closed room none."""
+    frame = subject.frame("occlusion")
+    return Measured(100 * float(frame["occlusion"].mean()), frame.rgb)
+
+
 # The scene itself ------------------------------------------------------------------------------------------------
 
 
