@@ -14,7 +14,7 @@ from glhybrid.errors import SettingError, unknown
 from glhybrid.image import Frame
 from glhybrid.scene import F64, Study
 from glhybrid.study import metrics, temporal
-from glhybrid.study.subject import Case, Measured, Subject, marked
+from glhybrid.study.subject import Case, Measured, Subject, grey, marked
 
 
 @dataclass(frozen=True)
@@ -381,14 +381,14 @@ def occlusion_error(subject: Subject, height: float, reach: float = 3.0) -> Meas
     x = seen.position[..., 0]
     floor = seen.covered & (np.abs(seen.position[..., 1]) < 1e-6) & (x > 0) & (x < reach)
     error = np.abs(frame["occlusion"] - 0.5 * (1 + x / np.hypot(x, height)))
-    return Measured(float(error[floor].mean()), marked(frame.rgb, floor & (error > 0.1)))
+    return Measured(float(error[floor].mean()), grey(frame["occlusion"]))
 
 
 @quantity("%")
 def sky_let_in(subject: Subject) -> Measured:
     """The open share of the sky that ambient occlusion finds, as a mean over all pixels: of a closed room none."""
     frame = subject.frame("occlusion")
-    return Measured(100 * float(frame["occlusion"].mean()), frame.rgb)
+    return Measured(100 * float(frame["occlusion"].mean()), grey(frame["occlusion"]))
 
 
 # The scene itself ------------------------------------------------------------------------------------------------
