@@ -73,7 +73,9 @@ class Common:
     ] = None
     clip: Annotated[
         str | None,
-        Parameter(help="Name or number of the animation; the first one by default. Alone, it is shown at 0 s."),
+        Parameter(
+            help="Name or number of the animation, or all at once; the first by default. Alone, it is shown at 0 s."
+        ),
     ] = None
     aa: Annotated[int | None, Parameter(help="Jittered frames averaged; 4 for PNG, 1 for EXR and NPZ.")] = None
     light: Annotated[

@@ -16,6 +16,8 @@ from glhybrid import keys
 from glhybrid.errors import GeometryError, SettingError, unknown
 from glhybrid.scene import F64, Animation, Camera, Instance, Light, Node, Scene
 
+ALL = "all"  # clips at once
+
 
 @dataclass(frozen=True, eq=False)
 class Pose:
@@ -28,7 +30,8 @@ class Pose:
 def find_clip(scene: Scene, name: str | None = None) -> Animation | None:
     """The clip of that name or number; the first if no name is given, None if there is none.
 
-    Raises SettingError with the nearest name.
+    Of clips with one name the first is meant; numbers tell them apart. `all`, where no clip is called so, is every clip
+    of the file at once: of two that move the same thing the last one wins. Raises SettingError with the nearest name.
     """
     clips = scene.animations
     if name is None:
@@ -38,7 +41,9 @@ def find_clip(scene: Scene, name: str | None = None) -> Animation | None:
             return clip
     if name.isdecimal() and int(name) < len(clips):
         return clips[int(name)]
-    names = [clip.name or str(i) for i, clip in enumerate(clips)]
+    if name == ALL and clips:
+        return Animation(ALL, tuple(channel for clip in clips for channel in clip.channels))
+    names = [*(clip.name or str(i) for i, clip in enumerate(clips)), *([ALL] if clips else [])]
     raise SettingError(f"{scene.path or scene.name}: {unknown('clip', name, names)}")
 
 
@@ -55,7 +60,7 @@ def notes(scene: Scene, time: float | None, clip_name: str | None) -> list[str]:
     if clip is None:
         return [] if time is None else [f"time {time:g} s: the scene has no animation, it looks the same at any time"]
     start, end = clip_span(clip)
-    what = f'clip "{clip.name or scene.animations.index(clip)}"'
+    what = f'clip "{clip.name or scene.animations.index(clip)}"' if clip.name != ALL else "all clips"
     if not clip.channels:
         return [f"{what} moves nothing that is drawn"]
     if time is not None and not start <= time <= end:

@@ -129,7 +129,9 @@ class Settings:
     time: float | None = _setting(
         None, "seconds into the clip, held at its ends; auto: the pose at rest", float, -1e9, 1e9, auto=None
     )
-    clip: str | None = _setting(None, "name or number of the animation to play; auto: the first", str, auto=None)
+    clip: str | None = _setting(
+        None, "name or number of the animation to play, or all; auto: the first", str, auto=None
+    )
     rebuild: float = _setting(
         1.5, "growth of a deforming tree's SAH cost that has it built anew; 1: every frame, 0: never", float, 0, 1e9
     )
