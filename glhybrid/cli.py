@@ -271,6 +271,9 @@ def bench(
         bool, Parameter(help="Instead: a frame's cost over triangles, pixels, lights and instances, with exponents.")
     ] = False,
     svg: Annotated[str | None, Parameter(help="With --scale: where to write its charts.")] = None,
+    motion: Annotated[
+        bool, Parameter(help="Instead: age of refitted trees, instances in motion, and reading pictures back.")
+    ] = False,
     device: Annotated[str, Parameter(help="auto, gpu, software, egl:N, cuda:N or osmesa.")] = "auto",
     size: Annotated[
         str | None, Parameter(help="Pixels, WxH; 1920x1080 on a GPU, else 1280x720, or 480x270 with --quick.")
@@ -282,10 +285,14 @@ def bench(
     """Measure ray rates, frames and the tree builder; exit status 1 if any two variants find different hits."""
     common = Common(allow_outside=allow_outside) if size is None else Common(size=size, allow_outside=allow_outside)
     pixels = None if size is None else common.pixels()
+    if motion and scale:
+        raise SettingError("--motion and --scale are benches of their own: give one")
     if scale:
         return _bench_scale(quick, device, pixels, svg, json, quiet)
     if svg is not None:
         raise SettingError("--svg: the charts are those of --scale")
+    if motion:
+        return _bench_motion(scene, quick, peers, device, pixels, common, json, quiet)
     from glhybrid import bench as benchmark
     from glhybrid.bench.report import show
 
@@ -321,6 +328,26 @@ def _bench_scale(
     else:
         scale.show(result)
     return 0
+
+
+def _bench_motion(
+    names: Sequence[str], quick: bool, peers: bool, device: str, size: tuple[int, int] | None, common: Common,
+    as_json: bool, quiet: bool,
+) -> int:  # fmt: skip
+    from glhybrid.bench import motion
+
+    if peers:
+        raise SettingError("--motion and --peers: nobody else refits our trees; give one")
+    scenes = [(Path(name).stem, common.load(name)) for name in names]
+    with console.progress(not (quiet or as_json)) as progress:
+        report = motion.run(scenes, quick=quick, device=device, size=size, progress=progress)
+    if as_json:
+        _print_json(report.to_dict())
+    else:
+        motion.show(report)
+    for failure in report.failures:
+        console.error(failure)
+    return 1 if report.failures else 0
 
 
 @app.command

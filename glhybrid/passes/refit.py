@@ -30,7 +30,7 @@ class Refit:
         self, context: Context, shaders: Shaders, scene: GpuScene, meshes: list[int], features: Features, rebuild: float
     ) -> None:
         self._gl, self._scene = context.gl, scene
-        self._meshes = meshes
+        self.meshes = meshes
         self._rebuild = rebuild
         self._blas = {m: scene.geometry.meshes[m].blas for m in meshes}
         self._step = {m: self._blas[m].grid_step for m in meshes}
@@ -51,20 +51,20 @@ class Refit:
     def run(self, shapes: list[Shape]) -> dict[int, MovedTree]:
         """New boxes for every mesh, in the order of `meshes`; returns what the instances must know of them."""
         moved = {}
-        for row, mesh, shape in zip(self._trees, self._meshes, shapes, strict=True):
+        for row, mesh, shape in zip(self._trees, self.meshes, shapes, strict=True):
             largest = float(np.abs(shape.bounds).max())
             grid_min, grid_step = make_grid(shape.bounds[0], shape.bounds[1], PAD * largest)
             row["grid_min"], row["grid_step"], row["pad"] = grid_min, grid_step, 1.6 * PAD * largest
             moved[mesh], self._step[mesh] = MovedTree(grid_min, grid_step, shape.bounds), grid_step
         self._tree_buffer.write(self._trees)
         if self._rebuild == 1:
-            for mesh in self._meshes:
+            for mesh in self.meshes:
                 moved[mesh] = self._build(mesh)
             return moved
         self._refit()
         self._age += 1
         if self._rebuild and self._age % CHECK_EVERY == 1:
-            for mesh in self._meshes:
+            for mesh in self.meshes:
                 if self.sah_cost(mesh) > self._rebuild * self._built_cost[mesh]:
                     moved[mesh] = self._build(mesh)
                     self._built_cost[mesh] = self._blas[mesh].sah_cost
@@ -108,7 +108,7 @@ class Refit:
     def _order(self) -> None:
         """Nodes of all trees by level, the deepest level first."""
         levels: dict[int, list[U32]] = {}
-        for tree, mesh in enumerate(self._meshes):
+        for tree, mesh in enumerate(self.meshes):
             first = self._scene.node_first(mesh)
             for depth, nodes in enumerate(levels_of(self._blas[mesh])):
                 pairs = np.column_stack([nodes + first, np.full(len(nodes), tree)]).astype(np.uint32)
