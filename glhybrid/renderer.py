@@ -46,6 +46,7 @@ Progress = Callable[[str, int, int], None]
 INTERACTIVE_STAGINGS = 4  # two techniques side by side, the reference, and one on its way in
 # Settings that change numbers of a frame only, with a value for all.
 LIVE: dict[str, Any] = {"exposure": 0.0, "tone": "none", "aa": None, "bounces": 0, "seed": 0}
+SOFTWARE_LIGHTS = 500  # whose shadow rays, of some 100 turns each, one invocation is sure to finish
 LIT_AHEAD = {"baked", "probe"}  # techniques that hold light from when they were staged
 
 
@@ -520,6 +521,12 @@ class Staged:
             warnings += pose.notes(scene, self.settings.time, self.settings.clip)
         if dropped := self.upload.geometry.dropped:
             warnings.append(f"{dropped} triangles dropped: without area, or with a vertex that is not finite")
+        rays = self.features.mirror_rays or self.features.blended
+        if self.context.device.software and rays and len(scene.lights) > SOFTWARE_LIGHTS:
+            warnings.append(
+                f"{len(scene.lights)} lights: a software device ends all loops of a pixel at 65,535 turns, so what mirror "
+                f"rays and blended layers show may lack shadows of those past {SOFTWARE_LIGHTS}; a GPU does not"
+            )
         drawn = [i for i in scene.instances]
         return {
             "version": __version__,
