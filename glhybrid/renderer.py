@@ -524,8 +524,8 @@ class Staged:
         rays = self.features.mirror_rays or self.features.blended
         if self.context.device.software and rays and len(scene.lights) > SOFTWARE_LIGHTS:
             warnings.append(
-                f"{len(scene.lights)} lights: a software device ends the loops of a pixel at 65,535 turns, so what mirror "
-                f"rays and blended layers show may lack shadows of those past {SOFTWARE_LIGHTS}; a GPU does not"
+                f"{len(scene.lights)} lights: a software device ends the loops of a pixel at 65,535 turns: what "
+                f"mirror rays and blended layers show may lack shadows of those past {SOFTWARE_LIGHTS}; a GPU does not"
             )
         drawn = [i for i in scene.instances]
         return {
