@@ -71,13 +71,13 @@ Found march(Ray ray, ivec2 from) {
     float t_near = (p.z - frame.near) / -r.z;
     float end = r.z < 0.0 ? (parallel ? t_near : t_near / frame.near) : (parallel || r.z == 0.0 ? INFINITY : 1.0 / r.z);
     vec2 moves = mix(along.xy, vec2(1e-20), lessThan(abs(along.xy), vec2(1e-20)));
-    vec2 inverse = 1.0 / moves;
+    vec2 per_px = 1.0 / moves;
     ivec2 ahead = ivec2(greaterThan(moves, vec2(0.0)));
-    vec2 border = (vec2(ahead) * size - at.xy) * inverse;
+    vec2 border = (vec2(ahead) * size - at.xy) * per_px;
     float leaves = min(border.x, border.y), last = min(end, leaves);
 
     ivec2 px = from, previous = from;
-    vec2 edge = (vec2(px + ahead) - at.xy) * inverse;                      // out of the own pixel
+    vec2 edge = (vec2(px + ahead) - at.xy) * per_px;                      // out of the own pixel
     float u = max(min(edge.x, edge.y), 0.0);
     if (edge.x < edge.y) px.x += 2 * ahead.x - 1;
     else px.y += 2 * ahead.y - 1;
@@ -88,7 +88,7 @@ Found march(Ray ray, ivec2 from) {
     int left = march_steps;
     for (; left > 0 && u < last && !met; left--) {
         ivec2 cell = px >> level;
-        edge = (vec2((cell + ahead) << level) - at.xy) * inverse;
+        edge = (vec2((cell + ahead) << level) - at.xy) * per_px;
         float u1 = clamp(min(edge.x, edge.y), u, last);
         vec2 depth = at.z + along.z * vec2(u, u1);
         bool skip = true;
@@ -134,7 +134,7 @@ Found march(Ray ray, ivec2 from) {
     Found found = Found(MISS, px, reason, 0.0);
     if (met) {
         // On the triangles of these two pixels; or on others in between, or nowhere.
-        float pixel_u = min(abs(inverse.x), abs(inverse.y));
+        float pixel_u = min(abs(per_px.x), abs(per_px.y));
         vec3 range = met_u + pixel_u * vec3(-1.5, 0.0, 1.5);
         if (!parallel) range *= p.z / max(1.0 - range * r.z, 1e-30);
         Ray here = Ray(ray.origin, max(range.x, 0.0), ray.dir, range.z > 0.0 ? range.z : INFINITY);

@@ -19,8 +19,14 @@ uniform float march_fade;            // share of the screen's width and height o
 vec3 shade_found(Hit hit, Ray ray, float width, bool seen, ivec2 px) {
 #if USE_SHADOW_BITS
     uint lit = 0u;
-    for (uint i = 0u; i < frame.light_count && seen; i++) lit |= texelFetch(visibility, ivec3(px, i), 0).r > 0.5 ? 1u << i : 0u;
-    if (MIRROR_RAYS && !seen) lit = lit_bits(hit, ray);
+    Point p = point_at(hit, ray);
+    for (uint i = 0u; i < frame.light_count; i++) {
+        LightSample l = light_at(lights[i], p.position);
+        float arriving = 0.0;
+        if (seen) arriving = texelFetch(visibility, ivec3(px, i), 0).r;
+        else if (MIRROR_RAYS && arrives(l) && dot(p.n_geo, l.dir) > 0.0) arriving = visibility_of(p, l, i).x;
+        lit |= arriving > 0.5 ? 1u << i : 0u;
+    }
     return shade_hit(hit, ray, width, lit);
 #else
     vec3 v = -ray.dir;

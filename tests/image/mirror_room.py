@@ -1,10 +1,11 @@
 """A room with a mirror for a floor in which every colour is a place, and what its mirror shows, in float64 from scratch."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scene_kit import F64, Camera, Scene, Triangles, box, camera_rays, constant_sky, floor, metal, scene
+from scene_kit import F64, Camera, Light, Scene, Triangles, box, camera_rays, constant_sky, floor, matte, metal, scene
 
 from glhybrid.scene import Material
 
@@ -35,6 +36,15 @@ def room(camera: Camera = CAMERA) -> Scene:
     parts = [(placed(box(*b)), place) for b in BOXES]
     parts.insert(FLOOR, (floor(4.99, 0.01), metal()))
     return scene(parts, camera, environment=constant_sky(0.0))
+
+
+def lit_room(camera: Camera = CAMERA) -> Scene:
+    """The same in plain colours, under a lamp beside which the sky, that no shadow keeps out, is nothing."""
+    colors = ((0.6, 0.6, 0.7), (0.8, 0.2, 0.1), (0.1, 0.7, 0.2), (0.7, 0.7, 0.1), (0.2, 0.2, 0.9))
+    parts: list[Any] = [(box(*b), matte(color)) for b, color in zip(BOXES, colors, strict=True)]
+    parts.insert(FLOOR, (floor(4.99, 0.01), metal()))
+    lamp = Light("point", (1, 1, 1), 2000.0, position=(1, 3.5, 1))
+    return scene(parts, camera, lights=(lamp,), environment=constant_sky(0.03))
 
 
 def first_hit(origin: F64, direction: F64) -> tuple[F64, NDArray[np.int64]]:

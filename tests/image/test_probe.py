@@ -241,3 +241,23 @@ def test_faces_look_where_they_say() -> None:
     )
     assert np.abs(got - want).max() < 2e-3
     assert 6 * probe_placement.solid_angles(size).sum() * (2 / 32) ** 2 == pytest.approx(4 * np.pi, rel=1e-3)
+
+
+def test_errors_against_the_reference(context: "Context", renderer: gh.Renderer) -> None:
+    """A mirror in a lit room, path-traced over the one bounce that all stand for: each is as wrong as it must."""
+    made = mirror_room.lit_room().replace(probes=(ROOM,))
+    true = mirror_room.truth(SIZE)
+    exact = renderer.render(
+        made, size=SIZE, settings=gh.Settings(reflections="reference", samples=4, bounces=1, aa=1, exposure=0.0)
+    )["radiance"]
+    error = {}
+    for technique in ("none", "env", "probe", "ssr", "ssr-ray", "ray-lerp"):
+        frame = shot(renderer, made, technique)
+        use = true.mirror & (frame["instance_id"] == mirror_room.FLOOR)
+        inner = use & np.roll(use, 1, 0) & np.roll(use, -1, 0) & np.roll(use, 1, 1) & np.roll(use, -1, 1)
+        off = np.abs(frame["radiance"] - exact).mean(-1) / exact[inner].mean()
+        error[technique] = float(off[inner].mean())
+    assert error["none"] == pytest.approx(1.0, abs=1e-3)
+    assert error["ray-lerp"] < 0.01
+    assert error["ssr-ray"] < error["ray-lerp"] + 0.003
+    assert error["ssr-ray"] < error["ssr"] < 0.5 * error["env"] and error["probe"] < 0.5 * error["env"]

@@ -165,6 +165,7 @@ def gallery() -> dict[str, tuple[Scene, dict[str, Any]]]:
         "soft": (turned.replace(lights=(replace(turned.lights[0], angular_diameter=0.02),)), {"shadows": "ray-soft"}),
         "no shadows": (turned, {"shadows": "none"}),
         "orthographic": (parallel, {}),
+        "lit room": (mirror_room.lit_room(), {}),
         "empty": (scene([], **world), {}),
     }
 
