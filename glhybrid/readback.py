@@ -38,6 +38,18 @@ def at_once(reading: "Reading[T]") -> T:
     raise AssertionError("a reading yields once")
 
 
+@dataclass(frozen=True)
+class Piece:
+    """Some bytes of a buffer, to be read in its stead."""
+
+    buffer: moderngl.Buffer
+    offset: int
+    size: int
+
+    def read(self) -> bytes:
+        return self.buffer.read(self.size, offset=self.offset)
+
+
 class Ring:
     """Up to `slots` sets of readings under way, first in, first out. Owns their buffers, which grow as needed."""
 
@@ -135,7 +147,10 @@ class _Slot:
         self.size = size
 
     def copy(self, source: Any, offset: int) -> None:
-        if isinstance(source, moderngl.Buffer):
+        if isinstance(source, Piece):
+            copy = self._context.gl.copy_buffer
+            copy(self._buffer, source.buffer, source.size, read_offset=source.offset, write_offset=offset)
+        elif isinstance(source, moderngl.Buffer):
             self._context.gl.copy_buffer(self._buffer, source, source.size, write_offset=offset)
         else:
             source.read_into(self._buffer, alignment=1, write_offset=offset)
@@ -183,7 +198,7 @@ class _Slot:
 
 def _size(source: Any) -> int:
     """Bytes of a buffer or of a texture's first level."""
-    if isinstance(source, moderngl.Buffer):
+    if isinstance(source, (moderngl.Buffer, Piece)):
         return int(source.size)
     texel = source.components * int(source.dtype[1:])
     return int(source.width * source.height * getattr(source, "layers", 1) * texel)

@@ -44,8 +44,7 @@ from glhybrid.view import View, choose_camera, make_view
 
 Progress = Callable[[str, int, int], None]
 INTERACTIVE_STAGINGS = 4  # two techniques side by side, the reference, and one on its way in
-# Settings that change numbers of a frame only, with a value for all.
-LIVE: dict[str, Any] = {"exposure": 0.0, "tone": "none", "aa": None, "bounces": 0, "seed": 0}
+LIVE = frozenset({"exposure", "tone", "aa", "bounces", "seed"})  # settings that change numbers of a frame only
 SOFTWARE_LIGHTS = 500  # whose shadow rays, of some 100 turns each, one invocation is sure to finish
 LIT_AHEAD = {"baked", "probe"}  # techniques that hold light from when they were staged
 
@@ -315,8 +314,8 @@ class Staged:
         if self.stale:
             return False
         if settings is not self.settings:
-            ours, theirs = (self._timeless(s).replace(**LIVE) for s in (self.settings, settings))
-            if ours != theirs:
+            ours, theirs = (self._timeless(s) for s in (self.settings, settings))
+            if any(ours[name] != theirs.get(name) for name in ours if name not in LIVE) or ours.keys() != theirs.keys():
                 return False
         if scene is not self.scene and ({settings.shadows, settings.reflections} & LIT_AHEAD or not self._like(scene)):
             return False
@@ -328,7 +327,7 @@ class Staged:
     def shares_upload(self, scene: Scene, settings: Settings) -> bool:
         """Whether trees, buffers and what moves them serve these settings too."""
         names = ("time", "clip", "levels", "rebuild")
-        ours, theirs = ([getattr(self._timeless(s), name) for name in names] for s in (self.settings, settings))
+        ours, theirs = ([self._timeless(s)[name] for name in names] for s in (self.settings, settings))
         return self._like(scene) and ours == theirs
 
     def _like(self, scene: Scene) -> bool:
@@ -362,10 +361,10 @@ class Staged:
         pairs = zip(self.scene.lights, self._staged_lights, self.drawn.lights, strict=True)
         self.upload.relight(tuple(now if now is not then else drawn for now, then, drawn in pairs))
 
-    def _timeless(self, settings: Settings) -> Settings:
-        """The settings, but for the time where any time of the clip is as good."""
+    def _timeless(self, settings: Settings) -> dict[str, Any]:
+        """The settings by name, but for the time where any time of the clip is as good."""
         live = self.mover is not None and motion.animated(settings)
-        return settings.replace(time=None, clip=settings.clip or "") if live else settings
+        return settings.to_dict() | ({"time": None, "clip": settings.clip or ""} if live else {})
 
     @property
     def outgrown(self) -> bool:

@@ -11,10 +11,12 @@ from glhybrid.context import Context
 from glhybrid.gpu_scene import GpuScene, MovedTree
 from glhybrid.motion import Shape
 from glhybrid.needs import Features
+from glhybrid.readback import Piece, Reading, Ring, at_once
 from glhybrid.scene import F64, U32
 from glhybrid.shaders import Shaders
 
-CHECK_EVERY = 8  # refits between two looks at a tree's SAH cost, which read it back
+CHECK_EVERY = 8  # refits between two looks at the trees' SAH costs, which read them back
+WAIT = 2  # refits until a look is at what was read, so that nobody waits for it
 
 
 class Refit:
@@ -36,6 +38,7 @@ class Refit:
         self._step = {m: self._blas[m].grid_step for m in meshes}
         self._built_cost = {m: self._blas[m].sah_cost for m in meshes}
         self._age = 0
+        self._ring = Ring(context, 1)
         self.rebuilt = 0  # trees, since the scene was loaded
         self._program = shaders.compute("refit", features)
         self._trees = np.zeros(len(meshes), layout.dtype("RefitTree"))
@@ -64,23 +67,29 @@ class Refit:
         self._refit()
         self._age += 1
         if self._rebuild and self._age % CHECK_EVERY == 1:
-            for mesh in self.meshes:
-                if self.sah_cost(mesh) > self._rebuild * self._built_cost[mesh]:
+            self._ring.send([self._reading(mesh) for mesh in self.meshes])
+        elif len(self._ring) and self._age % CHECK_EVERY == 1 + WAIT:
+            for mesh, cost in zip(self.meshes, self._ring.take(), strict=True):
+                if cost > self._rebuild * self._built_cost[mesh]:
                     moved[mesh] = self._build(mesh)
                     self._built_cost[mesh] = self._blas[mesh].sah_cost
         return moved
 
     def sah_cost(self, mesh: int) -> float:
-        """Of the tree as it stands on the GPU, in the terms of Blas.sah_cost. Reads it back."""
-        first, count = self._scene.node_first(mesh), len(self._blas[mesh].nodes)
-        data = self._scene.resources["nodes"].buffer.read(count * 32, offset=first * 32)
-        return sah_cost(np.frombuffer(data, np.uint32).reshape(-1, 8), self._step[mesh].astype(np.float64))
+        """Of the tree as it stands on the GPU, in the terms of Blas.sah_cost. Waits for it."""
+        return at_once(self._reading(mesh))
+
+    def _reading(self, mesh: int) -> Reading[float]:
+        first, count, step = self._scene.node_first(mesh), len(self._blas[mesh].nodes), self._step[mesh]
+        data = yield Piece(self._scene.resources["nodes"].buffer, first * 32, count * 32)
+        return sah_cost(np.frombuffer(data, np.uint32).reshape(-1, 8), step.astype(np.float64))
 
     @property
     def bytes(self) -> int:
-        return self._tree_buffer.size + self._order_buffer.size
+        return int(self._tree_buffer.size + self._order_buffer.size + self._ring.bytes)
 
     def release(self) -> None:
+        self._ring.release()
         self._tree_buffer.release()
         self._order_buffer.release()
 

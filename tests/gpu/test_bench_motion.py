@@ -31,11 +31,11 @@ def test_the_ring_has_the_triangles_asked_for_and_is_skinned_smoothly(triangles:
 def test_an_old_tree_costs_more_and_shows_the_same(context: "Context") -> None:
     scene, fresh = movers.ring(3000), []  # type: ignore[var-annotated]
     with Renderer(context=context) as renderer:
-        played = [motion.play(renderer, "ring", scene, SIZE, rebuild, 10, fresh) for rebuild in (1.0, 1.05, 0.0)]
+        played = [motion.play(renderer, "ring", scene, SIZE, rebuild, 12, fresh) for rebuild in (1.0, 1.05, 0.0)]
     every, often, never = played
-    assert (every.builds, never.builds) == (10, 0) and 0 < often.builds < 10
-    assert every.age == [0] * 10 and never.age == list(range(1, 11)) and 0 in often.age and 1 in often.age
-    assert every.sah_ratio == pytest.approx([1.0] * 10) and never.sah_ratio_mean > 1.2
+    assert (every.builds, never.builds) == (12, 0) and 0 < often.builds < 12
+    assert every.age == [0] * 12 and never.age == list(range(1, 13)) and 0 in often.age and 1 in often.age
+    assert every.sah_ratio == pytest.approx([1.0] * 12) and never.sah_ratio_mean > 1.2
     assert never.steps_per_ray_mean > 1.05 * every.steps_per_ray_mean
     assert all(p.error == 0 for p in played)
 
