@@ -114,6 +114,7 @@ def run(
         from glhybrid.viewer.web import Web
 
         surface = Web(device, window, flags.host, flags.web)
+        print(f"open {surface.url}", flush=True)
     else:
         from glhybrid.viewer.window import Window
 

@@ -1,0 +1,294 @@
+"""The viewer in a browser: frames go out over a websocket, pointer and keys come back. By aiohttp.
+
+The server runs in a thread of its own and touches no OpenGL; the viewer's thread leaves its newest frame there. The
+next frame is sent when the browser has shown the last one, so a slow line costs frames, not delay. JPEG in motion, PNG
+at rest: then the browser has `render`'s pixels. One browser at a time; a new one takes over.
+
+Loopback unless told otherwise, a random token in the URL, and requests whose Host or Origin is another are refused
+(a page elsewhere must not reach in through the user's browser).
+"""
+
+import asyncio
+import contextlib
+import hmac
+import io
+import json
+import logging
+import math
+import secrets
+import threading
+from collections import deque
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+
+from glhybrid.context import Context, open_context
+from glhybrid.errors import SettingError
+from glhybrid.scene import U8
+from glhybrid.viewer import need
+from glhybrid.viewer.events import KEYS, Button, Event, Focus, Key, Move, Text, Wheel
+from glhybrid.viewer.surface import Memory
+
+log = logging.getLogger("glhybrid")
+SMALLEST, LARGEST = (160, 120), (4096, 4096)  # pixels of a browser's window that are served
+MOST_EVENTS = 1000  # waiting; more are dropped
+QUALITY = 85  # of JPEG
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+PAGES = {"/": ("page.html", "text/html"), "/page.js": ("page.js", "text/javascript")}
+HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'unsafe-inline'; connect-src 'self'; "
+    "img-src 'self' blob:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
+    "Referrer-Policy": "no-referrer", "X-Content-Type-Options": "nosniff", "Cache-Control": "no-store",
+}  # fmt: skip
+
+
+def parse(text: str) -> Event | tuple[int, int] | str | None:
+    """A message of the browser: an event, ("size") a size, "ack"; None for what is none of these."""
+    try:
+        message = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(message, list) or not message or not isinstance(message[0], str):
+        return None
+    kind, values = message[0], message[1:]
+    numbers = [float(v) for v in values if isinstance(v, (int, float)) and math.isfinite(v) and abs(v) < 1e6]
+    exact = len(numbers) == len(values) == 2
+    if kind == "ack":
+        return "ack"
+    if kind == "move" and exact:
+        return Move(*numbers)
+    if kind == "wheel" and exact:
+        return Wheel(*(min(max(v, -20.0), 20.0) for v in numbers))
+    if kind == "size" and exact:
+        return tuple(int(min(max(v, low), high)) for v, low, high in zip(numbers, SMALLEST, LARGEST, strict=True))  # type: ignore[return-value]
+    if kind == "button" and len(values) == 2 and values[0] in (0, 1, 2) and isinstance(values[1], bool):
+        return Button(int(values[0]), values[1])
+    if kind == "key" and len(values) == 3 and isinstance(values[0], str) and values[0] in KEYS:
+        return Key(values[0], values[1] is True, values[2] is True)
+    if kind == "text" and len(values) == 1 and isinstance(values[0], str) and len(values[0]) <= 16:
+        return Text(values[0])
+    if kind == "focus" and len(values) == 1 and isinstance(values[0], bool):
+        return Focus(values[0])
+    return None
+
+
+def encode(rgb: U8, exact: bool) -> bytes:
+    """PNG if exact, else JPEG."""
+    from PIL import Image
+
+    buffer, image = io.BytesIO(), Image.fromarray(rgb)
+    if exact:
+        image.save(buffer, "PNG", compress_level=1)
+    else:
+        image.save(buffer, "JPEG", quality=QUALITY, subsampling=0)
+    return buffer.getvalue()
+
+
+class Web(Memory):
+    """A surface whose display is a browser. url: to open there. Raises SettingError for an address that is taken."""
+
+    def __init__(
+        self, device: str | Context, size: tuple[int, int], host: str = "127.0.0.1", port: int = 0, scale: float = 1.0
+    ) -> None:
+        self._web = need("aiohttp.web", "web")
+        context = open_context(device) if isinstance(device, str) else device
+        super().__init__(context, size, scale)
+        self._host, self._port, self.token = host, port, secrets.token_urlsafe(24)
+        self._lock = threading.Condition()
+        self._queue: deque[Event] = deque()
+        self._wanted_size = size
+        self._latest: tuple[U8, bool] | None = None
+        self._client: Any = None
+        self._fresh: asyncio.Event | None = None
+        self._ready: asyncio.Event | None = None
+        self._failure: OSError | None = None
+        started = threading.Event()
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._serve, args=(started,), daemon=True, name="glhybrid-web")
+        self._thread.start()
+        started.wait()
+        if self._failure is not None:
+            context.close()
+            reason = self._failure.strerror or self._failure
+            raise SettingError(f"--web {port}: cannot listen at {host}: {reason}; --web 0 takes a free port")
+        shown = f"[{host}]" if ":" in host else host
+        self.url = f"http://{shown}:{self._port}/?token={self.token}"
+        if host not in LOOPBACK:
+            log.warning("anybody who can reach %s and knows this URL can use the viewer; nothing is encrypted", host)
+
+    # The viewer's thread
+
+    @property
+    def visible(self) -> bool:  # type: ignore[override]
+        """Whether a browser is looking."""
+        return self._client is not None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self._size
+
+    def poll(self, timeout: float) -> list[Event]:
+        with self._lock:
+            if not self._queue and self._wanted_size == self._size and timeout > 0:
+                self._lock.wait(timeout)
+            found = [*self._events, *self._queue]
+            self._events.clear()
+            self._queue.clear()
+            if self._wanted_size != self._size:
+                self._size = self._wanted_size
+                found.append(Move(-1.0, -1.0))  # something happened: a frame of the new size is due
+        return found
+
+    def present(self, image: Any, moving: bool) -> None:
+        super().present(image, moving)
+        if self._client is None:
+            return
+        width, height = image.size
+        pixels = np.frombuffer(image.read(components=3, alignment=1), np.uint8).reshape(height, width, 3)
+        self._latest = pixels[::-1], not moving
+        self._call(self._wake)
+
+    def title(self, text: str) -> None:
+        super().title(text)
+        self._tell(title=text)
+
+    def cursor(self, name: str) -> None:
+        self._tell(cursor=name)
+
+    def set_clipboard(self, text: str) -> None:
+        super().set_clipboard(text)
+        self._tell(clipboard=text)
+
+    def close(self) -> None:
+        """Ends the server. Twice is harmless."""
+        if self._thread.is_alive():
+            self._tell(bye="the viewer was closed")
+            self._call(self._stop.set)
+            self._thread.join(5)
+
+    def _call(self, function: Any, *arguments: Any) -> None:
+        if not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(function, *arguments)
+
+    def _tell(self, **order: str) -> None:
+        self._call(lambda: self._loop.create_task(self._send_order(order)))
+
+    # The server's thread
+
+    def _serve(self, started: threading.Event) -> None:
+        asyncio.set_event_loop(self._loop)
+        try:
+            self._loop.run_until_complete(self._main(started))
+        finally:
+            started.set()
+            self._loop.close()
+
+    async def _main(self, started: threading.Event) -> None:
+        web = self._web
+        self._stop, self._fresh = asyncio.Event(), asyncio.Event()
+        app = web.Application(client_max_size=1 << 16)
+        for path in PAGES:
+            app.router.add_get(path, self._page)
+        app.router.add_get("/events", self._events_socket)
+        runner = web.AppRunner(app, access_log=None, shutdown_timeout=1.0)
+        await runner.setup()
+        try:
+            site = web.TCPSite(runner, self._host, self._port)
+            await site.start()
+            self._port = runner.addresses[0][1]
+        except OSError as error:
+            self._failure = error
+            await runner.cleanup()
+            return
+        started.set()
+        await self._stop.wait()
+        if self._client is not None:
+            await self._client.close()
+        await runner.cleanup()
+
+    def _allowed(self, request: Any, token: bool) -> bool:
+        host = urlsplit(f"//{request.headers.get('Host', '')}").hostname
+        if self._host in LOOPBACK and host not in LOOPBACK:
+            return False  # another name that was made to point here
+        origin = request.headers.get("Origin")
+        if origin is not None and urlsplit(origin).netloc != request.headers.get("Host"):
+            return False
+        given = request.query.get("token", "")
+        return not token or hmac.compare_digest(given.encode(), self.token.encode())
+
+    async def _page(self, request: Any) -> Any:
+        name, kind = PAGES[request.path]
+        if not self._allowed(request, token=request.path == "/"):
+            return self._web.Response(status=403, text="glhybrid: the URL with its token is in the terminal\n")
+        body = Path(__file__).with_name(name).read_bytes()
+        return self._web.Response(body=body, content_type=kind, charset="utf-8", headers=HEADERS)
+
+    async def _events_socket(self, request: Any) -> Any:
+        if not self._allowed(request, token=True):
+            return self._web.Response(status=403, text="glhybrid: wrong token\n")
+        socket = self._web.WebSocketResponse(max_msg_size=1 << 12, heartbeat=20.0)
+        await socket.prepare(request)
+        old, self._client, ready = self._client, socket, asyncio.Event()
+        if old is not None:
+            await old.send_str(json.dumps({"bye": "another browser has taken over"}))
+            await old.close()
+        ready.set()
+        sender = self._loop.create_task(self._send_frames(socket, ready))
+        self._put(Focus(True))
+        try:
+            async for message in socket:
+                if message.type == self._web.WSMsgType.TEXT:
+                    self._receive(message.data, ready)
+        finally:
+            sender.cancel()
+            if self._client is socket:
+                self._client = None
+                self._put(Focus(False))
+        return socket
+
+    def _receive(self, text: str, ready: asyncio.Event) -> None:
+        found = parse(text)
+        if found == "ack":
+            ready.set()
+        elif isinstance(found, tuple):
+            with self._lock:
+                self._wanted_size = found
+                self._lock.notify()
+        elif found is not None and not isinstance(found, str):
+            self._put(found)
+
+    def _put(self, event: Event) -> None:
+        with self._lock:
+            if isinstance(event, Move) and self._queue and isinstance(self._queue[-1], Move):
+                self._queue[-1] = event  # only the last place counts
+            elif len(self._queue) < MOST_EVENTS:
+                self._queue.append(event)
+            self._lock.notify()
+
+    def _wake(self) -> None:
+        assert self._fresh is not None
+        self._fresh.set()
+
+    async def _send_frames(self, socket: Any, ready: asyncio.Event) -> None:
+        assert self._fresh is not None
+        sent: Any = None
+        while not socket.closed:
+            await ready.wait()
+            if self._latest is None or self._latest is sent:
+                await self._fresh.wait()
+                self._fresh.clear()
+                continue
+            frame = sent = self._latest
+            data = await self._loop.run_in_executor(None, encode, *frame)
+            ready.clear()
+            try:
+                await socket.send_bytes(data)
+            except (ConnectionError, RuntimeError):
+                return
+
+    async def _send_order(self, order: dict[str, str]) -> None:
+        if self._client is not None and not self._client.closed:
+            with contextlib.suppress(ConnectionError, RuntimeError):
+                await self._client.send_str(json.dumps(order))
