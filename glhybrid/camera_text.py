@@ -32,19 +32,34 @@ class Pose:
     width: float = 0.0
 
     def write(self) -> str:
-        """The line. Nine digits: a micrometre a kilometre away."""
-        words = [f"{name}={','.join(f'{v:.9g}' for v in getattr(self, name))}" for name in ("eye", "target")]
+        """The line, with all the digits that a number has: it reads back to the last bit."""
+        words = [f"{name}={','.join(map(_number, getattr(self, name)))}" for name in ("eye", "target")]
         if self.up != (0.0, 1.0, 0.0):
-            words.append(f"up={','.join(f'{v:.9g}' for v in self.up)}")
+            words.append(f"up={','.join(map(_number, self.up))}")
         if self.fov:
-            words += [f"fov={self.fov:.9g}", *(["short=1"] if self.short else [])]
+            words += [f"fov={_number(self.fov)}", *(["short=1"] if self.short else [])]
         else:
-            words += [f"height={self.height:.9g}", *([f"width={self.width:.9g}"] if self.width else [])]
-        return ";".join([*words, *([f"near={self.near:.9g}"] if self.near != 0.01 else [])])
+            words += [f"height={_number(self.height)}", *([f"width={_number(self.width)}"] if self.width else [])]
+        return ";".join([*words, *([f"near={_number(self.near)}"] if self.near != 0.01 else [])])
+
+    def rounded(self) -> "Pose":
+        """With no more digits than can be seen: points to a ten-millionth of the distance, other numbers to nine."""
+        arm = float(np.linalg.norm(np.subtract(self.eye, self.target)))
+        places = 7 - int(np.floor(np.log10(arm))) if arm > 0 else 9
+        eye, target = (_point(np.round(np.asarray(p, np.float64), places)) for p in (self.eye, self.target))
+        fov, near, height, width = (float(f"{v:.9g}") for v in (self.fov, self.near, self.height, self.width))
+        up = _point(np.round(np.asarray(self.up, np.float64), 9))
+        return Pose(eye, target, up, fov, near, self.short, height, width)
 
     def camera(self) -> Camera:
-        """The camera that the line stands for: of the digits that are written, not of those that are held."""
-        return parse(self.write())
+        """The camera that the line stands for."""
+        camera = Camera.look_at(self.eye, self.target, self.up, float(np.deg2rad(self.fov)), self.near, "view")
+        flat = self.fov == 0
+        return replace(camera, fov_short=self.short, ymag=self.height * flat, xmag=self.width * flat)
+
+
+def _number(value: float) -> str:
+    return repr(float(value)).removesuffix(".0")
 
 
 def is_pose(text: str) -> bool:
@@ -86,10 +101,7 @@ def read(text: str) -> Pose:
 
 def parse(text: str) -> Camera:
     """The camera of a line. Raises SettingError for one that is not as above."""
-    pose = read(text)
-    camera = Camera.look_at(pose.eye, pose.target, pose.up, float(np.deg2rad(pose.fov)), pose.near, "view")
-    flat = pose.fov == 0
-    return replace(camera, fov_short=pose.short, ymag=pose.height * flat, xmag=pose.width * flat)
+    return read(text).camera()
 
 
 def pose_of(camera: Camera, distance: float) -> Pose:

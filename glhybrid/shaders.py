@@ -37,6 +37,7 @@ class Source:
         self.path = path
         self.files: list[str] = []
         self.text = self._expand(folders, path)
+        self._words = frozenset(_WORD.findall(self.text))
 
     def _expand(self, folders: tuple[Path, ...], path: str) -> str:
         index = len(self.files)
@@ -61,7 +62,7 @@ class Source:
 
     def specialise(self, features: Features) -> tuple[str, dict[str, int]]:
         """Full text, and the features it names."""
-        words = set(_WORD.findall(self.text))
+        words = self._words
         known = features.defines()
         if missing := sorted(w for w in words if w.startswith("USE_") and w not in known):
             raise ShaderError(f"glsl/{self.path}: {missing[0]} is not a field of Features in glhybrid/needs.py")

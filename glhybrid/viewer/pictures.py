@@ -286,6 +286,8 @@ class Pictures:
 
     def restart(self) -> None:
         """Everything is drawn anew, as after a reload."""
+        for idle in set(SIDES) - set(self.wanted()):
+            self.sides[idle].drop()
         self._begun.clear()
         self._arrays.clear()
         for side in SIDES:

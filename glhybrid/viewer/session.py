@@ -7,6 +7,7 @@ picture. Whoever draws compares the counters with those it has drawn.
 import shlex
 import time as clock
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -144,11 +145,11 @@ class Session:
     def start_moving(self, distance: float, posed: Scene | None = None) -> Pose:
         """The pose to move on from. distance: metres to what the view turns about, if it is a scene's camera yet."""
         if self.pose is None:
-            self.pose = pose_of(self.plain_camera(posed), distance)
+            self.pose = pose_of(self.plain_camera(posed), distance).rounded()
         return self.pose
 
     def move_to(self, pose: Pose) -> None:
-        self.pose = pose
+        self.pose = pose.rounded()
         self.moved()
 
     def use_camera(self, index: int) -> None:
@@ -169,10 +170,9 @@ class Session:
 
     def settings(self, side: Literal["a", "b", "reference"]) -> Settings:
         """Of one picture, with the time of now."""
-        chosen = {"a": self.a, "b": self.b, "reference": self.a.replace(reflections="reference")}[side]
-        if self.transport.clip < 0:
-            return chosen
-        return chosen.replace(time=round(self.transport.time, 4), clip=str(self.transport.clip))
+        chosen = self.b if side == "b" else self.a
+        time = round(self.transport.time, 4) if self.transport.clip >= 0 else None
+        return _settings(chosen, side == "reference", time, self.transport.clip)
 
     def set(self, side: Literal["a", "b"], **changes: Any) -> None:
         """Other settings of one side. Those of display and time are of both. Raises SettingError."""
@@ -223,3 +223,11 @@ class Session:
         if self.environment_deg is not None:
             words += ["--environment-rotation", f"{self.environment_deg:.6g}"]
         return shlex.join([*words, "-o", output or "picture.png"])
+
+
+@lru_cache(256)
+def _settings(chosen: Settings, reference: bool, time: float | None, clip: int) -> Settings:
+    """Checked anew only when something changes: every frame asks several times."""
+    if reference:
+        chosen = chosen.replace(reflections="reference")
+    return chosen if time is None else chosen.replace(time=time, clip=str(clip))

@@ -129,7 +129,7 @@ def _ramp(values: F64, name: str, unit: str, missing: NDArray[Any], whole: bool 
 
 
 def _rgb(linear: NDArray[Any], exposure: float) -> U8:
-    c = np.clip(linear.astype(np.float32) * np.float32(2.0**exposure), 0, 1)
+    c = np.clip(np.nan_to_num(linear.astype(np.float32), posinf=1e9) * np.float32(2.0**exposure), 0, 1)
     c = np.where(c <= 0.0031308, 12.92 * c, 1.055 * np.power(np.maximum(c, 1e-8), 1 / 2.4) - 0.055)
     rgb = (c * 255 + 0.5).astype(np.uint8)
     bad = ~np.isfinite(linear).all(-1)
