@@ -92,5 +92,15 @@ if [ "$extra" = dev ] && [ -n "${fresh:-}" ]; then
     [ -z "$wanted" ] || apt_install "Mitsuba needs libraries" $wanted || say "tests against Mitsuba are skipped" >&2
 fi
 
+# The viewer's tests want a display, a window manager, somebody who types, and a browser; without them they are skipped.
+if [ "$extra" = dev ] && [ -n "${fresh:-}" ]; then
+    wanted=""
+    for pair in Xvfb:xvfb xdotool:xdotool openbox:openbox chromium:chromium; do
+        command -v "${pair%%:*}" >/dev/null 2>&1 || wanted="$wanted ${pair#*:}"
+    done
+    # shellcheck disable=SC2086 # a list of packages
+    [ -z "$wanted" ] || apt_install "tests of the viewer" $wanted || say "tests of the viewer's window are skipped" >&2
+fi
+
 touch "$stamp"
 [ -z "${fresh:-}" ] || say "ready"

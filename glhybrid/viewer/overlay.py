@@ -79,7 +79,8 @@ class Overlay:
     def _describe(self, side: Side) -> list[tuple[str, int]]:
         session, pictures = self._session, self._pictures
         settings, picture = session.settings(side), pictures.picture(side)
-        name = "reference" if settings.reflections == "reference" else f"{settings.shadows} + {settings.reflections}"
+        chosen = [settings.shadows, settings.reflections, *([settings.ao] if settings.ao != "none" else [])]
+        name = "reference" if settings.reflections == "reference" else " + ".join(chosen)
         lines = [(f"{'A' if side == 'a' else 'B'}   {name}", INK)]
         if session.show != PICTURE and session.mode in ("single", "split"):
             lines.append((session.show.replace("_", " "), ACCENT))

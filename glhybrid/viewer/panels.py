@@ -137,7 +137,7 @@ class Panels:
         imgui.text_colored((0.93, 0.62, 0.26, 1.0) if looked_at else (0.6, 0.6, 0.6, 1.0), side.upper())
         imgui.same_line()
         imgui.begin_group()
-        for kind in ("shadows", "reflections"):
+        for kind in techniques.TECHNIQUES:
             current = getattr(settings, kind)
             if imgui.begin_combo(kind, current):
                 for name in implemented(kind):
@@ -146,7 +146,7 @@ class Panels:
                     if imgui.is_item_hovered():
                         imgui.set_tooltip(techniques.TECHNIQUES[kind][name].summary)
                 imgui.end_combo()
-        chosen = [techniques.TECHNIQUES[k][getattr(settings, k)] for k in ("shadows", "reflections")]
+        chosen = [table[getattr(settings, kind)] for kind, table in techniques.TECHNIQUES.items()]
         if any(t.parameters for t in chosen) and imgui.tree_node("parameters"):
             for technique in chosen:
                 for parameter in technique.parameters:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from glhybrid import Renderer, Scene, Settings, ShaderError, load
+from glhybrid import Renderer, Scene, Settings, ShaderError, load, techniques
 from glhybrid.context import Context
 
 SIZE = (64, 40)
@@ -153,3 +153,30 @@ def test_a_written_shader_is_used_and_a_broken_one_is_not(
         file.write_text(text)
         assert renderer.reload_shaders() > 0
         assert np.array_equal(renderer.render(scene, size=SIZE, settings=Settings(aa=1))["radiance"], before)
+
+
+TECHNIQUES = [
+    *({"shadows": name} for name, t in techniques.SHADOWS.items() if t.implemented),
+    *({"reflections": name} for name, t in techniques.REFLECTIONS.items() if t.implemented),
+    {"ao": "ssao"},
+]
+
+
+@pytest.mark.parametrize("chosen", TECHNIQUES, ids=lambda c: next(iter(c.values())))
+def test_every_technique_survives_other_sizes_and_lights(
+    context: Context, scene: Scene, chosen: dict[str, str]
+) -> None:
+    """Another size, other lights and back, with another staging used in between: each the picture of a fresh start."""
+    quick = {"shadows.baked.budget": 4096, "shadows.baked.samples": 1, "reflections.probe.resolution": 16}
+    settings = Settings(aa=1, samples=2, parameters=quick, **chosen)
+    other = Settings(aa=1, shadows="none", reflections="env")
+    steps = [(scene, SIZE), (scene, (37, 53)), (relit(scene), SIZE), (scene, SIZE)]
+    with Renderer(context=context, interactive=True) as renderer:
+        got = []
+        for shown, size in steps:
+            got.append(renderer.render(shown, size=size, settings=settings)["radiance"])
+            renderer.render(shown, size=size, settings=other)
+    with Renderer(context=context) as fresh:
+        for (shown, size), picture in zip(steps[:3], got, strict=False):
+            assert np.array_equal(picture, fresh.render(shown, size=size, settings=settings)["radiance"]), size
+    assert np.array_equal(got[0], got[3])
