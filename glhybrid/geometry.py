@@ -139,6 +139,9 @@ class _Builder:
     def __init__(self, scene: Scene, tangents: bool, attributes: bool, deforming: frozenset[int]) -> None:
         self.scene = scene
         self.deforming = {id(scene.meshes[row]) for row in deforming}
+        # A triangle in several leaves is met several times: its tint would count as often. Nor can pieces be refitted.
+        tint = layout.CONSTANTS["ANY_HIT_TINT"]
+        self.may_split = not deforming and not any(any_hit(m) == tint for m in scene.materials)
         self.with_tangents, self.with_attributes = tangents, attributes
         self.vertices: list[F32] = []
         self.tangents: list[F32] = []
@@ -261,6 +264,7 @@ class _Builder:
             spheres=np.array([s[2] for s in spheres], np.float32).reshape(-1, 4),
             sphere_triangle=np.array([s[0] - first for s in spheres], np.uint32),
             sphere_geometry=np.array([s[1] for s in spheres], np.uint32),
+            split=self.may_split,
         )
         self.meshes.append(MeshData(first, tuple(ranges), blas, vertex, tuple(spheres)))
         return True

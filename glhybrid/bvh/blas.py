@@ -21,10 +21,11 @@ from typing import Any
 
 import numpy as np
 
-from glhybrid.bvh.check import check_structure, leaf_boxes, refuse
-from glhybrid.bvh.fragments import LEAF, box_fragments, grow_small, identity, make_grid
+from glhybrid.bvh import presplit
+from glhybrid.bvh.check import check_structure, leaf_boxes, refuse, refuse_gaps, split_slots
+from glhybrid.bvh.fragments import LEAF, Grown, box_fragments, grow_small, identity, make_grid
 from glhybrid.errors import GeometryError
-from glhybrid.scene import F32, F64, U32
+from glhybrid.scene import F32, F64, U16, U32
 
 TRIANGLE, SPHERE = 0, 1
 MAX_SLOTS = 1 << 27  # 27 bits of a leaf's reference
@@ -81,7 +82,8 @@ class Blas:
     def validate(self) -> None:
         """Prove the tree: shape, order, depth, boxes inside parents, every slot in one leaf and inside its box.
 
-        All in float64 or integers. Raises GeometryError that names the first node or slot at fault.
+        All in float64 or integers. Of a triangle in several leaves, 91 points must each be in one of their boxes.
+        Raises GeometryError that names the first node or slot at fault.
         """
         depth, words = check_structure(self.nodes, len(self.slots))
         refuse(depth != self.depth, f"depth is {depth}, stated is {self.depth}")
@@ -90,7 +92,12 @@ class Blas:
         vertices, radius, sphere = data[..., :3], data[:, 1, :1], self.slots[:, 11:] == SPHERE
         smallest = np.where(sphere, vertices[:, 0] - radius, vertices.min(1))
         largest = np.where(sphere, vertices[:, 0] + radius, vertices.max(1))
-        refuse(((smallest < low) | (largest > high)).any(1), "slot {} is outside its leaf's box")
+        outside = ((smallest < low) | (largest > high)).any(1)
+        several = split_slots(self.slots) if outside.any() else outside
+        apart = ((largest < low) | (smallest > high)).any(1)
+        refuse(apart | outside & ~several, "slot {} is outside its leaf's box")
+        pieces = np.flatnonzero(several)
+        refuse_gaps(vertices[pieces], low[pieces], high[pieces], self.slots[pieces], pieces)
         same = np.array_equal(np.stack([smallest.min(0), largest.max(0)]), self.bounds)
         refuse(not same, "bounds are not those of what is in it")
 
@@ -115,6 +122,7 @@ def build_blas(
     sphere_geometry: U32 | None = None,
     max_leaf: int = 4,
     reinsert: bool = True,
+    split: bool = False,
     threads: int | None = None,
 ) -> Blas:
     """The tree over triangles and analytic spheres of one mesh, by SAH. The same input gives the same tree.
@@ -122,6 +130,8 @@ def build_blas(
     position: (T, 3, 3) float32, object space, metres; triangle, geometry: (T,) uint32, default 0..T-1 and 0.
     spheres: (K, 4) float32 centre and radius, with their own ids, default 0..K-1 and 0.
     reinsert: spend up to four fifths more time on a tree that is up to 30 % cheaper to trace (reinsert.py).
+    split: triangles that waste much of their boxes may be in several leaves, where that makes the tree cheaper
+    (presplit.py): not for what is refitted, or where hits are counted.
     Degenerate triangles are the caller's to drop. Raises GeometryError where there is nothing, or something is not
     finite or past 1e18, or there are 2^27 primitives or more; it names the triangle.
     """
@@ -162,17 +172,42 @@ def build_blas(
         if len(spheres):
             fragments = np.concatenate([fragments, around])
             centroids = np.maximum(centroids, build.centroid_bounds(around))
-        tree = build.grow_tree(fragments, centroids, grid[1], max_leaf, workers)
-        if reinsert:
-            from glhybrid.bvh.reinsert import improve
-
-            tree = improve(tree, fragments, grid[1])
+        pieces = None
+        if split and flat:
+            pieces = _pieces(fragments, flat, position, grid, pad, workers)
+        tree = _grow(fragments, centroids, grid[1], max_leaf, reinsert, workers)
+        if pieces is not None:
+            other = _grow(pieces, build.centroid_bounds(pieces), grid[1], max_leaf, reinsert, workers)
+            if other.cost < presplit.KEPT * tree.cost:
+                tree, fragments = other, pieces
         slots = build.make_slots(position, *ids, fragments, workers)
         if len(spheres):
             order = identity(fragments)
             slots[order >= flat] = _sphere_slots(spheres, *sphere_ids)[order[order >= flat] - flat]
     milliseconds = 1e3 * (time.perf_counter() - started)
     return Blas(tree.nodes, slots, *grid, np.stack([low, high]), tree.depth, tree.cost, milliseconds)
+
+
+def _grow(fragments: U16, centroids: U16, grid_step: F32, max_leaf: int, reinsert: bool, workers: int) -> Grown:
+    """The tree over fragments, which are put into leaf order."""
+    from glhybrid.bvh import build
+
+    tree = build.grow_tree(fragments, centroids, grid_step, max_leaf, workers)
+    if reinsert:
+        from glhybrid.bvh.reinsert import improve
+
+        tree = improve(tree, fragments, grid_step)
+    return tree
+
+
+def _pieces(fragments: U16, flat: int, position: F32, grid: tuple[F32, F32], pad: float, workers: int) -> U16 | None:
+    """The fragments with those of some triangles in pieces; None where no triangle is worth it."""
+    from glhybrid.bvh import build
+
+    area = build.half_surfaces(fragments[:flat], grid[1], workers)
+    budget = min(int(presplit.SHARE * flat), MAX_SLOTS - 1 - len(fragments))
+    more, made = presplit.split(fragments[:flat], area, position, *grid, pad, budget)
+    return np.ascontiguousarray(np.concatenate([more, fragments[flat:]])) if len(made) else None
 
 
 def _triangle_slots(position: F32, triangle: U32, geometry: U32) -> U32:

@@ -359,6 +359,13 @@ def fill_slots(vertices, triangle, geometry, fragments, first, last, slots):  # 
             slots[i, 3], slots[i, 7], slots[i, 11] = triangle[p], geometry[p], 0
 
 
+@kernel(types.void(types.uint16[:, ::1], types.float32[::1], types.int64, types.int64, types.float32[::1]))
+def fill_areas(fragments, step, first, last, area):  # type: ignore[no-untyped-def]
+    """area[i] = half the surface area of fragment i."""
+    for i in range(first, last):
+        area[i] = half_area(fragments, i, step)
+
+
 def _parallel(function: Callable[[int, int, int], _T], count: int, threads: int) -> list[_T]:
     """function(first, last, number of the part) over parts of range(count), one a thread."""
     edges = np.linspace(0, count, threads + 1).astype(int).tolist() if count > TASK else [0, count]
@@ -381,6 +388,13 @@ def make_fragments(position: F32, grid_min: F32, grid_step: F32, pad: float, thr
         threads,
     )
     return fragments, bounds.max(0)
+
+
+def half_surfaces(fragments: U16, grid_step: F32, threads: int = 1) -> F32:
+    """(F,) half the surface areas of fragments, in square metres of the grid."""
+    area = np.empty(len(fragments), np.float32)
+    _parallel(lambda first, last, _: fill_areas(fragments, grid_step, first, last, area), len(fragments), threads)
+    return area
 
 
 def make_slots(position: F32, triangle: U32, geometry: U32, fragments: U16, threads: int = 1) -> U32:

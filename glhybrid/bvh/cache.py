@@ -26,7 +26,7 @@ from glhybrid.jit import cache_dir
 from glhybrid.scene import F32, U32
 
 MAGIC = b"glhBLAS\n"
-VERSION = 2  # of the file, the node and slot format and the builder: a new one makes all files old
+VERSION = 3  # of the file, the node and slot format and the builder: a new one makes all files old
 CHUNK = 4 << 20
 LIMIT_BYTES = 2 << 30
 STALE_SECONDS = 3600  # a temporary file this old was left by a process that died
@@ -42,6 +42,7 @@ def load_or_build(
     sphere_geometry: U32 | None = None,
     max_leaf: int = 4,
     reinsert: bool = True,
+    split: bool = False,
     threads: int | None = None,
     folder: Path | None = None,
 ) -> Blas:
@@ -54,13 +55,13 @@ def load_or_build(
     if folder is None and os.environ.get("GLHYBRID_CACHE") != "off":
         folder = cache_dir() / "bvh"
     if folder is None or len(position) <= SMALL:
-        return build_blas(*given, max_leaf=max_leaf, reinsert=reinsert, threads=threads)
+        return build_blas(*given, max_leaf=max_leaf, reinsert=reinsert, split=split, threads=threads)
     workers = threads_available() if threads is None else threads
-    key = content_key(given, {"max_leaf": max_leaf, "reinsert": reinsert}, workers)
+    key = content_key(given, {"max_leaf": max_leaf, "reinsert": reinsert, "split": split}, workers)
     path = folder / f"{key}.blas"
     blas = read(path, key, started, workers)
     if blas is None:
-        blas = build_blas(*given, max_leaf=max_leaf, reinsert=reinsert, threads=threads)
+        blas = build_blas(*given, max_leaf=max_leaf, reinsert=reinsert, split=split, threads=threads)
         write(path, key, blas, workers)
     return blas
 

@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glhybrid.bvh.fragments import LEAF
 from glhybrid.errors import GeometryError
@@ -58,3 +59,25 @@ def leaf_boxes(words: U32, grid_min: F32, grid_step: F32) -> tuple[F64, F64]:
     """Corners (S, 3) in float64 of box words (S, 3)."""
     origin, step = grid_min.astype(np.float64), grid_step.astype(np.float64)
     return origin + (words & 0xFFFF) * step, origin + (words >> 16) * step
+
+
+def split_slots(slots: U32) -> NDArray[np.bool_]:
+    """(S,) whether the same triangle, all twelve words, is in another slot as well."""
+    _, inverse, count = np.unique(slots, axis=0, return_inverse=True, return_counts=True)
+    return np.asarray(count[inverse.ravel()] > 1)
+
+
+def refuse_gaps(vertices: F64, low: F64, high: F64, slots: U32, number: NDArray[np.int64]) -> None:
+    """GeometryError if points spread over a triangle (P, 3, 3) are in none of the boxes of the slots that hold it."""
+    if not len(slots):
+        return
+    weights = np.array([(i, j, 12 - i - j) for i in range(13) for j in range(13 - i)]) / 12  # corners and edges too
+    _, owner = np.unique(slots, axis=0, return_inverse=True)
+    covered = np.zeros((int(owner.max()) + 1, len(weights)), np.uint8)
+    points = np.einsum("wv,pvk->pwk", weights, vertices)
+    np.maximum.at(
+        covered, owner.ravel(), ((points >= low[:, None]) & (points <= high[:, None])).all(2).astype(np.uint8)
+    )
+    bad = number[np.flatnonzero(covered.min(axis=1)[owner.ravel()] == 0)]
+    if len(bad):
+        raise GeometryError(f"tree: slot {bad[0]} holds a triangle that its boxes leave partly uncovered")

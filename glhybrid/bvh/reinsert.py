@@ -7,15 +7,13 @@ round takes the largest tenth of the nodes, whose boxes rays enter most, and rou
 
 Why: steps a ray (node visits and triangle tests; geometric mean of camera, diffuse, mirror and shadow rays of six
 views) against binned SAH alone: Sponza 0.70, the built-in atrium 0.73, an apartment 0.73, a game level 0.73, scans and
-evenly tessellated things 0.93 to 1.00; for a fifth to four fifths more time to build. Rejected: splitting triangles
-before the build (Karras & Aila 2013, section 5), which gave 0.76, 1.61, 0.93 and 0.80 on the first four, and less than
-nothing on top of this.
+evenly tessellated things 0.93 to 1.00; for a fifth to four fifths more time to build.
 """
 
 import numpy as np
 from numba import types
 
-from glhybrid.bvh.build import clear, grow_tree, half_area, make_fragments, make_slots, merge
+from glhybrid.bvh.build import clear, grow_tree, half_area, half_surfaces, make_fragments, make_slots, merge
 from glhybrid.bvh.fragments import LEAF, Grown
 from glhybrid.jit import kernel
 from glhybrid.scene import F32, U16
@@ -195,4 +193,5 @@ def warm_up() -> None:
     grid = (np.zeros(3, np.float32), np.ones(3, np.float32))
     fragments, centroids = make_fragments(position, *grid, 0.0)
     improve(grow_tree(fragments, centroids, grid[1]), fragments, grid[1])
+    half_surfaces(fragments, grid[1])
     make_slots(position, np.arange(10, dtype=np.uint32), np.zeros(10, np.uint32), fragments)

@@ -1,6 +1,7 @@
 """Trees: validity over shapes that break builders, queries against brute force, cost, packing, instances, the cache."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from bvh_shapes import SHAPES, Triangles, axis_rays, chain, needles, progression, rays, soup
 
 from glhybrid import bvh, reference
-from glhybrid.bvh import Blas, blas, build_blas, build_tlas, cache, load_or_build, pack, reinsert
+from glhybrid.bvh import Blas, blas, build_blas, build_tlas, cache, load_or_build, pack, presplit, reinsert
 from glhybrid.bvh.fragments import LEAF, MEDIAN_DEPTH
 from glhybrid.errors import GeometryError
 
@@ -95,6 +96,71 @@ def test_reinsertion_gives_a_cheaper_tree_of_the_same_triangles() -> None:
     assert trees[1].depth <= trees[0].depth + reinsert.DEEPER
     steps = [h.nodes_visited.astype(int).sum() + h.triangles_tested.astype(int).sum() for h in hits]  # type: ignore[union-attr]
     assert steps[1] < 0.95 * steps[0]
+
+
+def room() -> tuple[np.ndarray, np.ndarray]:
+    """A floor and beams of few long triangles, turned, among many small ones; and which of them are long."""
+    long = needles(120, 9) * np.float32(2)
+    small = soup(9000, 8, 0.01)
+    return np.concatenate([small, long]), np.arange(9120) >= 9000
+
+
+def test_splitting_is_kept_only_where_it_pays() -> None:
+    triangles, long = room()
+    whole, split = (build_blas(triangles, split=flag) for flag in (False, True))
+    split.validate()
+    times = np.bincount(split.slots[:, 3], minlength=len(triangles))
+    assert (times >= 1).all() and (times[~long] == 1).all() and times.max() > 1
+    assert len(split.slots) <= (1 + presplit.SHARE) * len(triangles)
+    assert split.sah_cost < presplit.KEPT * whole.sah_cost
+    origins, directions = rays(triangles, 4000, 6)
+    steps = []
+    for precision in (np.float64, np.float32):
+        hits = [reference.traverse(tree, origins, directions, precision=precision) for tree in (whole, split)]
+        assert np.array_equal(hits[0].t, hits[1].t) and np.array_equal(hits[0].triangle, hits[1].triangle)
+        steps = [int(h.nodes_visited.sum()) + int(h.triangles_tested.sum()) for h in hits]  # type: ignore[union-attr]
+    assert steps[1] < steps[0]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_no_tree_is_dearer_for_being_allowed_to_split(shape: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(blas, "SMALL", 0)
+    monkeypatch.setattr(presplit, "WORTH", 1.0)
+    triangles = SHAPES[shape](4)
+    whole, split = (build_blas(triangles, split=flag) for flag in (False, True))
+    split.validate()
+    assert split.sah_cost <= whole.sah_cost and set(split.slots[:, 3]) == set(range(len(triangles)))
+    if len(split.slots) == len(triangles):
+        assert np.array_equal(split.nodes, whole.nodes) and np.array_equal(split.slots, whole.slots)
+    origins, directions = axis_rays() if shape == "lattice" else rays(triangles, 400, 5)
+    a, b = (reference.traverse(tree, origins, directions) for tree in (whole, split))
+    assert np.array_equal(a.t, b.t) and np.array_equal(a.triangle, b.triangle)
+
+
+@pytest.mark.parametrize("shape", ["needles", "stadium", "flat", "far", "chain"])
+def test_pieces_cover_their_triangles(shape: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the tree is worth: all that may be split is, and kept."""
+    monkeypatch.setattr(blas, "SMALL", 0)
+    for name, value in (("WORTH", 0.5), ("SHARE", 1.0), ("KEPT", np.inf)):
+        monkeypatch.setattr(presplit, name, value)
+    triangles = SHAPES[shape](3)
+    balls = np.array([[0.5, 0.5, 0.5, 0.01]], np.float32)
+    tree = build_blas(triangles, spheres=balls, sphere_triangle=np.array([len(triangles)], np.uint32), split=True)
+    tree.validate()
+    if shape in ("needles", "stadium"):
+        assert len(tree.slots) > len(triangles) + 1
+    origins, directions = rays(triangles, 800, 5)
+    for precision in (np.float64, np.float32):
+        plain = reference.traverse(build_blas(triangles), origins, directions, precision=precision)
+        pieces = reference.traverse(build_blas(triangles, split=True), origins, directions, precision=precision)
+        assert np.array_equal(plain.t, pieces.t) and np.array_equal(plain.triangle, pieces.triangle)
+    inner = np.flatnonzero(np.bincount(tree.slots[:, 3]) > 1)
+    if len(inner):  # a piece that is lost is noticed
+        first = int(np.flatnonzero(tree.slots[:, 3] == inner[0])[0])
+        slots = tree.slots.copy()
+        slots[first] = tree.slots[np.flatnonzero(tree.slots[:, 3] != inner[0])[0]]
+        with pytest.raises(GeometryError, match="tree: "):
+            replace(tree, slots=slots).validate()
 
 
 @pytest.mark.parametrize("name", ["progression", "chain"])

@@ -13,6 +13,7 @@ from rays import Rays, Tracer, piece, scene_of
 import glhybrid as gh
 from glhybrid import content_cache, tuning
 from glhybrid.bench import scenes
+from glhybrid.bvh import blas, presplit
 from glhybrid.shaders import Shaders
 from glhybrid.tuning import ALL_STEPS, Tuning
 
@@ -125,11 +126,23 @@ def test_the_plan_follows_the_rates_unless_told(context: "Context") -> None:
 STEPS = (1, 2, 3, 4, ALL_STEPS)
 
 
-@pytest.mark.parametrize("levels", [1, 2])
-def test_no_variant_leaks_and_all_find_the_same(context: "Context", levels: int) -> None:
-    """Every number of inner steps, and buffers in an array or by themselves: through vertices and edges of closed bodies."""
+@pytest.mark.parametrize(("levels", "pieces"), [(1, False), (2, False), (1, True)])
+def test_no_variant_leaks_and_all_find_the_same(
+    context: "Context", monkeypatch: pytest.MonkeyPatch, levels: int, pieces: bool
+) -> None:
+    """Every number of inner steps, buffers in an array or by themselves: through vertices and edges of closed bodies.
+
+    pieces: trees whose triangles are split wherever they can be (bvh/presplit.py).
+    """
     rng = np.random.default_rng(2)
-    for position, index in (ray.uv_sphere(20), ray.jagged(24, rng)):
+    bodies = [ray.uv_sphere(20), ray.jagged(24, rng)]
+    if pieces:
+        for name, value in (("WORTH", 0.1), ("SHARE", 2.0), ("KEPT", np.inf)):
+            monkeypatch.setattr(presplit, name, value)
+        monkeypatch.setattr(blas, "SMALL", 0)
+        monkeypatch.setenv("GLHYBRID_CACHE", "off")  # no other test may find these trees
+        bodies += [ray.drum(60)]
+    for position, index in bodies:
         vertex = position.astype(np.float32).astype(np.float64)
         with Tracer(context, scene_of(piece(position, index)), levels, origin=(0, 0, 0)) as tracer:
             n = ray.count(50_000)
@@ -140,6 +153,8 @@ def test_no_variant_leaks_and_all_find_the_same(context: "Context", levels: int)
             target = target + along * (vertex[row[at, (corner + 1) % 3]] - target)
             origin = rng.integers(-8, 9, (n, 3)) / 64
             sent = Rays.make(origin, ray.unit(target - origin))
+            slots = sum(len(m.blas.slots) for m in tracer.geometry.meshes)
+            assert (slots > 1.2 * len(index)) == pieces
             first = tracer.trace(sent)
             assert first.hit.all() and first.blocked.all()
             for change in [{"bvh_inner_steps": k} for k in STEPS] + [{"buffer_array": k} for k in (0, 1)]:
