@@ -12,7 +12,7 @@ from glhybrid import techniques
 from glhybrid.image import Frame
 from glhybrid.renderer import Renderer
 from glhybrid.scene import Scene
-from glhybrid.study import curves, picture, results, scene_study, store, sweep
+from glhybrid.study import curves, peers, picture, results, scene_study, store, sweep
 from glhybrid.study import paper as papers
 from glhybrid.study.progress import Meter, Progress
 from glhybrid.study.results import Study
@@ -21,9 +21,10 @@ from glhybrid.view import choose_camera
 
 SCENES = ("atrium", "plaza", "showroom")
 QUICK_SCENES = ("showroom", "atrium")
-PARTS = ("stability", "failures")  # what is done beside the scenes
+PARTS = ("peers", "stability", "failures")  # what is done beside the scenes
 PAPER_PARTS = ("ladder",)
 FAILURE_CELLS = 20  # what the failure library counts for in the progress
+PEER_CELLS = 1.5  # and one other renderer on one scene
 
 
 def run(
@@ -72,7 +73,12 @@ def run(
             seen = choose_camera(scene, camera)
             work.append(scene_study.SceneStudy(renderer, name, scene, seen, axes, spent, bounces, output, study, meter))
             meter.expect(work[-1].size_of_work())
-        costs = {"ladder": papers.LADDER_CELLS, "stability": curves.size_of_work(), "failures": FAILURE_CELLS}
+        costs = {
+            "peers": PEER_CELLS * len(peers.NAMES) * len(work),
+            "ladder": papers.LADDER_CELLS,
+            "stability": curves.size_of_work(),
+            "failures": FAILURE_CELLS,
+        }
         meter.expect(sum(costs[part] for part in parts))
         for one in work:
             one.run()
@@ -81,6 +87,8 @@ def run(
             if part == "ladder":
                 study.paper["ladder"] = papers.ladder(renderer, output / part, quick, spent.clock, meter)
                 study.paper["printed"] = list(papers.PRINTED)
+            elif part == "peers":
+                study.peers = _peers(renderer, [one.site() for one in work], quick, meter, study.note)
             elif part == "stability":
                 study.curves = curves.run(renderer, output / part, quick, meter, study.note)
             elif part == "failures":
@@ -124,6 +132,19 @@ def _machine(renderer: Renderer, size: tuple[int, int], command: str) -> dict[st
     from glhybrid.bvh.blas import threads_available
 
     return machine(renderer.context.device.to_dict(), size=list(size), cores=threads_available(), command=command)
+
+
+def _peers(
+    renderer: Renderer, sites: Sequence[peers.Site], quick: bool, meter: Meter, note: Callable[[str], None]
+) -> list[dict[str, Any]]:
+    rows = []
+    for site in sites:
+        for name in peers.NAMES:
+            meter.begin(f"{site.name}: {name}")
+            samples = peers.QUICK_SAMPLES if quick else peers.SAMPLES
+            rows.append(peers.ask(renderer, name, site, samples, note))
+            meter.end(PEER_CELLS)
+    return [row for row in rows if row is not None]
 
 
 def failures(renderer: Renderer, folder: Path, meter: Meter, note: Callable[[str], None]) -> list[dict[str, Any]]:

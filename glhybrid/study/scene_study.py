@@ -18,6 +18,7 @@ from glhybrid.study import direct, measure, results, stability, store, sweep
 from glhybrid.study import reference as references
 from glhybrid.study.develop import develop
 from glhybrid.study.measure import Clock
+from glhybrid.study.peers import Site
 from glhybrid.study.progress import Meter
 from glhybrid.study.reference import Reference
 from glhybrid.study.results import Study
@@ -92,6 +93,13 @@ class SceneStudy:
             self.meter.expect(len(cells) - (self.spent.pairs or GUESSED_PAIRS))
             for cell in cells:
                 self._cell(cell, PAIRS, seen)
+
+    def site(self) -> Site:
+        """What other renderers are given and held against, once it has run."""
+        return Site(
+            self.name, self.scene, self.camera, self.spent.size, self.reference.radiance,
+            f"{self.reference.key}-{self.reference.samples}", self.exposure, self.folder,
+        )  # fmt: skip
 
     def _describe(self) -> None:
         scene, size = self.scene, self.spent.size

@@ -27,20 +27,20 @@ def renderer_digest() -> str:
 
     package = Path(__file__).resolve().parent.parent
     files = [p for p in package.rglob("*.py") if not {"study", "bench", "viewer"} & set(p.relative_to(package).parts)]
-    return _digest([*files, *(p for p in data_folder("glsl").rglob("*") if p.is_file())])
+    return digest([*files, *(p for p in data_folder("glsl").rglob("*") if p.is_file())])
 
 
 @lru_cache(maxsize=1)
 def code_digest() -> str:
     """The same, and of what measures them."""
-    return renderer_digest() + _digest(Path(__file__).resolve().parent.glob("*.py"))
+    return renderer_digest() + digest(Path(__file__).resolve().parent.glob("*.py"))
 
 
-def _digest(files: Iterable[Path]) -> str:
-    digest = hashlib.sha256(__version__.encode())
+def digest(files: Iterable[Path]) -> str:
+    total = hashlib.sha256(__version__.encode())
     for path in sorted(files):
-        digest.update(path.name.encode() + path.read_bytes())
-    return digest.hexdigest()[:16]
+        total.update(path.name.encode() + path.read_bytes())
+    return total.hexdigest()[:16]
 
 
 def prepare(folder: Path) -> None:

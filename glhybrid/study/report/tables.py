@@ -1,7 +1,8 @@
 """The report's further parts: the paper again, other renderers."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from html import escape
+from pathlib import Path
 from typing import Any
 
 from glhybrid.study.report import charts
@@ -107,5 +108,27 @@ def _in_words(rows: Sequence[Row], clock: str) -> str:
     return says
 
 
-def peers(found: Sequence[Row]) -> str:
-    return ""
+def peers(found: Sequence[Row], output: Path, embedded: Callable[[Path, int], str]) -> str:
+    """Other renderers: figures, pictures, and how their models differ. embedded: a file as a data URI."""
+    body = "".join(
+        f"<tr><td>{escape(row['scene'])}</td><td class='text'>{escape(row['renderer'])} {escape(row['version'])}</td>"
+        f"<td>{shown(row['frame_ms'])}</td><td>{shown(row['flip'])}</td><td>{shown(row['rel_mse'])}</td>"
+        f"<td>{row['bias_percent']:+.1f}</td><td class='text long'>{escape('; '.join(row['notes']))}</td></tr>"
+        for row in found
+    )
+    figures = []
+    for row in found:
+        pictures = "".join(
+            f'<img loading="lazy" alt="{escape(row["renderer"])}" '
+            f'src="{embedded(output / row["scene"] / row["images"][kind], 480)}">'
+            for kind in ("png", "flip")
+        )
+        about = f"{escape(row['scene'])}: FLIP {shown(row['flip'])}, {shown(row['frame_ms'])} ms"
+        figures.append(f"<figure>{pictures}<figcaption><b>{escape(row['renderer'])}</b>, {about}</figcaption></figure>")
+    return (
+        '<section id="peers"><h2>Other renderers</h2><p>The same scene and camera in other programs, against the same '
+        "reference. They are not wrong by what they model otherwise; the last column says what that is.</p>"
+        '<div class="wide"><table><thead><tr><th>scene</th><th class="text">renderer</th><th>picture, ms</th><th>FLIP</th>'
+        '<th>relative MSE</th><th>bias, %</th><th class="text">differences</th></tr></thead>'
+        f'<tbody>{body}</tbody></table></div><div class="strip">{"".join(figures)}</div></section>'
+    )
