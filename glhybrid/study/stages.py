@@ -63,14 +63,16 @@ def mirror_floor(roughness: float) -> tuple[Scene, Camera]:
     The bodies are unlit, so all that differs between ways to draw them is what the floor makes of them."""
     floor = Material("floor", (0.95, 0.95, 0.95, 1), metallic=1.0, roughness=roughness, double_sided=True)
     parts: list[Part] = [
-        (box(size=(8, 0.2, 8)), 0, (0, -0.1, 0)), (box(size=(0.9, 1.2, 0.9)), 1, (-0.9, 0.6, -0.6)),
+        (box(size=(8, 0.2, 8)), 0, (0, -0.1, 0)), (box(size=(1.2, 1.4, 0.9)), 1, (-0.9, 0.7, -0.6)),
         (box(size=(0.08, 1.6, 0.08)), 2, (0.5, 0.8, 0.3)), (Sphere(0.45), 2, (1.1, 0.45, -0.7)),
     ]  # fmt: skip
     rise = np.linspace(1, -1, 32)[:, None, None]
     sky = np.broadcast_to(np.where(rise > 0, 0.6 + 0.5 * rise, 0.35) * np.array([0.9, 1.0, 1.15]), (32, 64, 3))
-    camera = Camera.look_at((0.4, 1.1, 3.6), (0, 0.35, 0), fov_y=0.7)
+    camera = Camera.look_at((0.3, 1.0, 3.2), (0, 0.25, 0), fov_y=0.7)
     environment = Environment(np.ascontiguousarray(sky, np.float32), name="dusk")
-    bodies = tuple(replace(m, unlit=True) for m in (CLAY, STONE))
+    bodies = tuple(
+        replace(m, unlit=True, base_color=c) for m, c in ((CLAY, (0.3, 0.09, 0.05, 1)), (STONE, (0.14, 0.13, 0.12, 1)))
+    )
     return placed(f"mirror floor {roughness:g}", parts, (floor, *bodies), camera, environment=environment)
 
 

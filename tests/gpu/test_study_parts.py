@@ -1,0 +1,168 @@
+"""The study's further parts: curves over a parameter, what is gone, the paper again, scenes for other renderers."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+import glhybrid as gh
+from glhybrid.load.builtin import scene_path
+from glhybrid.scene import Environment
+from glhybrid.settings import Settings
+from glhybrid.study import curves, paper, peers, picture, stages
+from glhybrid.study.measure import Clock
+from glhybrid.study.peers import bundle, glb
+from glhybrid.study.progress import Meter
+
+if TYPE_CHECKING:
+    from glhybrid.context import Context
+
+pytest.importorskip("flip_evaluator", reason="a study measures with flip-evaluator")
+SIZE = (96, 72)
+
+
+@pytest.fixture
+def renderer(context: "Context") -> "Iterator[gh.Renderer]":
+    with gh.Renderer(context=context) as opened:
+        yield opened
+
+
+def _errors(renderer: gh.Renderer, name: str, value: float, **settings: Any) -> float:
+    curve = next(c for c in curves.CURVES if c.name == name)
+    scene, camera = curve.stage(value)
+    return curve.measure(renderer, scene, camera, SIZE, value)(Settings(aa=1, **settings))
+
+
+@pytest.mark.parametrize(("name", "value"), [("origin", 1e6), ("scale", 1e-3), ("sun", 2.0), ("thickness", 0.003)])
+def test_rays_hold_at_the_ends_of_the_curves_and_coarse_maps_do_not(
+    renderer: gh.Renderer, name: str, value: float
+) -> None:
+    assert _errors(renderer, name, value, reflections="none") == 0
+    coarse = {"shadows.map.resolution": 256, "shadows.map.slope_bias": 2.0}
+    assert _errors(renderer, name, value, reflections="none", shadows="map", parameters=coarse) > 0.3
+
+
+def test_the_lerp_is_right_on_a_mirror_and_wrong_on_rough_metal(renderer: gh.Renderer) -> None:
+    exact = _errors(renderer, "roughness", 0.0, shadows="ray")
+    rough = _errors(renderer, "roughness", 0.25, shadows="ray")
+    assert exact < 0.01 < 0.05 < rough
+
+
+def test_where_a_line_breaks() -> None:
+    assert curves.breaks([1, 2, 3, 4], [0, 0.1, 0.6, 0.9], 0.5) == 3
+    assert curves.breaks([1, 2, 3, 4], [0.9, 0.6, 0.1, 0], 0.5) == 2, "from where it is best, outwards"
+    assert curves.breaks([1, 2], [0.1, None], 0.5) is None and curves.breaks([1], [None], 0.5) is None
+    assert curves.breaks([1, 2], [0.7, 0.9], 0.5) == 1, "broken everywhere"
+
+
+def test_what_has_gone_leaves_no_trace_without_a_memory(renderer: gh.Renderer) -> None:
+    life, left = curves.ghosts(renderer, SIZE, Settings(aa=1))
+    assert life == 0 and max(left) < 1e-3
+    scene, camera = stages.leaving(1.0)
+    before, after = (renderer.render(scene, camera, SIZE, Settings(aa=1, time=t))["radiance"] for t in (0.5, 1.5))
+    assert np.abs(before - after).max() > 0.1, "the box is there, then not"
+
+
+def test_the_ladder_shows_the_papers_bias(
+    renderer: gh.Renderer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("GLHYBRID_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(paper, "ROUGHNESS", (0.25,))
+    monkeypatch.setattr(paper, "QUICK_LADDER_SIZE", SIZE)
+    found = paper.ladder(renderer, tmp_path, True, Clock(1, 0.0), Meter(None, False))
+    by = {row["label"]: row for row in found["rows"]}
+    assert 4 < by["ray-lerp"]["bias_percent"] < 16, "accuracy: +8 % on a scene like this"
+    if "ray-glossy 16 spp" in by:
+        assert abs(by["ray-glossy 16 spp"]["bias_percent"]) < 1.5
+    monkeypatch.setattr(paper.reference, "converge", lambda *_, **__: pytest.fail("was kept"))
+    assert paper.ladder(renderer, tmp_path, True, Clock(1, 0.0), Meter(None, False))["rows"] == found["rows"]
+
+
+def test_table_1() -> None:
+    def row(shadows: str, reflections: str, ms: float) -> dict[str, Any]:
+        figures = dict.fromkeys(("flip", "flip_reflection", "flip_shadow", "rel_mse", "bias_percent"), 0.1)
+        return {
+            "scene": "a", "shadows": shadows, "reflections": reflections, "axes": ["paper"], "label": "", "ms": ms,
+            "parameters": {"x": 4}, **figures,
+        }  # fmt: skip
+
+    (line,) = paper.table([row("ray", "ray-lerp", 10.0), row("ray-soft", "ray-glossy", 16.0)], "ms")
+    assert line["lead_percent"] == pytest.approx(60) and line["kim"]["frames_per_second"] == 100
+    (alone,) = paper.table([row("ray", "ray-lerp", 10.0)], "ms")
+    assert alone["many"] is None and alone["lead_percent"] is None
+
+
+@pytest.mark.parametrize("name", ["showroom", "cornell"])
+def test_a_scene_given_to_others_is_the_same_scene(renderer: gh.Renderer, tmp_path: Path, name: str) -> None:
+    """The GLB, read back and drawn with the same lights, sky and camera, is the same picture but for spheres' edges."""
+    path = scene_path(name)
+    assert path is not None
+    scene = gh.load(str(path))
+    glb.write(scene, tmp_path / "scene.glb")
+    again = gh.load(str(tmp_path / "scene.glb"))
+    assert len(again.instances) == len(scene.instances)
+    assert np.allclose(again.bounds(), scene.bounds(), atol=1e-4)
+    again = again.replace(lights=scene.lights, environment=scene.environment)
+    settings = Settings(aa=1)
+    got, want = (renderer.render(s, scene.cameras[0], SIZE, settings)["radiance"] for s in (again, scene))
+    assert picture.compare(got, want)[0].flip < 0.04
+    assert (np.abs(got - want).max(-1) < 0.02 * want.max(-1) + 1e-3).mean() > 0.85
+
+
+def test_the_sky_given_to_others_is_turned_into_place() -> None:
+    texels = np.random.default_rng(0).uniform(0, 1, (16, 32, 3)).astype(np.float32)
+    for turn in (0.0, np.pi / 2):
+        got = bundle.turned(Environment(texels, intensity=2.0, rotation=turn))
+        for row, column in ((40, 100), (200, 17), (128, 400)):
+            phi = (column + 0.5) / 512 * 2 * np.pi - np.pi
+            direction = np.array([np.sin(phi), 0, -np.cos(phi)])
+            c, s = np.cos(turn), np.sin(turn)
+            x, z = c * direction[0] - s * direction[2], s * direction[0] + c * direction[2]  # scene.py: turned back
+            u = (np.arctan2(x, -z) / (2 * np.pi) + 0.5) * 32 - 0.5
+            v = (row + 0.5) / 256 * 16 - 0.5
+            i, j = int(np.floor(u)), int(np.floor(v))
+            corner = np.array([[texels[min(max(j + b, 0), 15), (i + a) % 32] for a in (0, 1)] for b in (0, 1)])
+            fu, fv = u - i, v - j
+            want = (corner[0, 0] * (1 - fu) + corner[0, 1] * fu) * (1 - fv) + (
+                corner[1, 0] * (1 - fu) + corner[1, 1] * fu
+            ) * fv
+            assert np.allclose(got[row, column], 2 * want, atol=1e-5)
+
+
+def test_8_bit_pictures_give_radiance_past_white() -> None:
+    from glhybrid.study.peers import common
+
+    truth = np.array([[[0.02, 0.5, 1.0]], [[3.0, 0.1, 12.0]]])
+
+    def draw(gain: float) -> Any:
+        x = np.clip(truth * gain, 0, 1)
+        return np.round(255 * np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)).astype(np.uint8)
+
+    assert np.allclose(common.bracketed(draw, 0.5), truth, rtol=0.12, atol=0.02)
+
+
+def test_a_peer_that_is_absent_is_a_note(renderer: gh.Renderer, tmp_path: Path) -> None:
+    notes: list[str] = []
+    site = peers.Site(
+        "x", gh.load(str(scene_path("cornell"))), None, SIZE, np.ones((72, 96, 3), np.float32), "", 0.0, tmp_path
+    )  # type: ignore[arg-type]
+    assert peers.ask(renderer, "no_such_renderer", site, 1, notes.append) is None
+    assert notes == ["no_such_renderer is left out: no_such_renderer is not installed (pip install no_such_renderer)"]
+
+
+@pytest.mark.slow
+def test_mitsuba_sees_the_same_picture(renderer: gh.Renderer, tmp_path: Path) -> None:
+    """Glossy metal, sky and unlit bodies mean the same in both; noise and antialiased edges remain."""
+    if reason := peers.missing("mitsuba"):
+        pytest.skip(reason)
+    scene, camera = stages.mirror_floor(0.25)
+    want = renderer.render(scene, camera, SIZE, Settings(reflections="reference", aa=4, bounces=8, samples=64))[
+        "radiance"
+    ]
+    site = peers.Site("floor", scene, camera, SIZE, want, "1", 0.0, tmp_path)
+    notes: list[str] = []
+    row = peers.ask(renderer, "mitsuba", site, 64, notes.append)
+    assert row is not None, notes
+    assert row["flip"] < 0.1 and abs(row["bias_percent"]) < 2 and (tmp_path / row["images"]["flip"]).is_file()
