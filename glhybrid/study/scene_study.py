@@ -26,7 +26,6 @@ from glhybrid.study.results import Study
 from glhybrid.study.sweep import PAIRS, Cell
 
 REFERENCE_CELLS = 8  # what a reference counts for in the progress
-GUESSED_PAIRS = 12  # before the fronts are known
 SMALLEST = 16  # pixels: FLIP and the windows of SSIM want a neighbourhood
 
 
@@ -43,7 +42,7 @@ class Effort:
     budget_s: float
     variants_s: float
     pan_steps: int
-    pairs: int | None
+    pairs: int
 
 
 def effort(quick: bool, software: bool, size: tuple[int, int] | None, most: int | None) -> Effort:
@@ -55,7 +54,7 @@ def effort(quick: bool, software: bool, size: tuple[int, int] | None, most: int 
     else:
         chosen = Effort(
             (640, 360) if software else (1920, 1080), Clock(5 if software else 64, 0.5), 64, 0.002,
-            1024 if software else 8192, math.inf, math.inf, 8 if software else 32, None,
+            1024 if software else 8192, math.inf, math.inf, 8 if software else 32, 24,
         )  # fmt: skip
     if size is not None:
         if min(size) < SMALLEST:
@@ -77,8 +76,8 @@ class SceneStudy:
         self.folder, self.study, self.meter = output / name, study, meter
 
     def size_of_work(self) -> float:
-        limit = self.spent.pairs or GUESSED_PAIRS
-        return REFERENCE_CELLS + sum(len(cells) for cells in self.axes.values()) + (limit if len(self.axes) > 1 else 0)
+        pairs = self.spent.pairs if len(self.axes) > 1 else 0
+        return REFERENCE_CELLS + sum(len(cells) for cells in self.axes.values()) + pairs
 
     def run(self) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -100,7 +99,7 @@ class SceneStudy:
             self.study.note(f"{self.name}: {left_out} variants were left out for time; the same command adds them")
         if len(self.axes) > 1:
             cells = sweep.pairs(self._fronts(), self.spent.pairs)
-            self.meter.expect(len(cells) - (self.spent.pairs or GUESSED_PAIRS))
+            self.meter.expect(len(cells) - self.spent.pairs)
             for cell in cells:
                 self._cell(cell, PAIRS, seen)
 

@@ -22,6 +22,7 @@ SAMPLES = "samples"  # the parameter of that name: rays a pixel
 SAMPLE_COUNTS = (1, 2, 4, 8, 16, 64)
 QUICK_SAMPLE_COUNTS = (1, 4)
 PAIRS = "pairs"
+MAIN = ("shadows", "reflections")  # kinds that a picture is called by
 
 
 @dataclass(frozen=True)
@@ -58,8 +59,9 @@ class Cell:
     @property
     def label(self) -> str:
         """Of the whole picture: "csm resolution 512 + ray-lerp". A further kind that is off is left out."""
-        shown = [k for k in self.techniques if k in ("shadows", "reflections") or self.techniques[k] != "none"]
-        return " + ".join(self.name(kind) for kind in shown)
+        words = [self.name(kind) for kind in MAIN]
+        rest = [kind for kind in self.techniques if kind not in MAIN and self.techniques[kind] != "none"]
+        return " + ".join([*words, *(f"{kind} {self.name(kind)}" for kind in rest)])
 
     @property
     def stem(self) -> str:
@@ -110,7 +112,8 @@ def skipped_axes(scene: Scene) -> dict[str, str]:
         skipped["shadows"] = "the scene has no light that casts shadows"
     if not any(needs.reflective(scene.materials[i], 1.0) for i in needs.used_materials(scene)):
         skipped["reflections"] = "no material is smoother than roughness 1"
-    if scene.environment is None:
+    sky = scene.environment
+    if sky is None or sky.intensity == 0 or not sky.radiance.any():
         skipped["ao"] = "no sky lights the scene"
     return skipped
 
