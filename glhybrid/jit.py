@@ -14,7 +14,10 @@ from typing import Any
 
 
 def cache_dir() -> Path:
-    """Where glhybrid keeps what it can make again: GLHYBRID_CACHE, XDG_CACHE_HOME/glhybrid or ~/.cache/glhybrid."""
+    """Where glhybrid keeps what it can make again: GLHYBRID_CACHE, XDG_CACHE_HOME/glhybrid or ~/.cache/glhybrid.
+
+    GLHYBRID_CACHE=off is no folder but "keep nothing": whoever writes looks at it first.
+    """
     if given := os.environ.get("GLHYBRID_CACHE"):
         return Path(given).expanduser()
     base = os.environ.get("XDG_CACHE_HOME")
@@ -42,7 +45,8 @@ def kernel(signature: Any, **options: Any) -> Callable[[Any], Any]:
 
     def compile_now(function: Any) -> Any:
         folder = Path(config.CACHE_DIR) if config.CACHE_DIR else cache_dir() / "numba"
-        cached = _writable(folder)
+        off = os.environ.get("GLHYBRID_CACHE") == "off" and not config.CACHE_DIR
+        cached = not off and _writable(folder)
         before, config.CACHE_DIR = (
             config.CACHE_DIR,
             str(folder),

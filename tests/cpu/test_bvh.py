@@ -1,5 +1,8 @@
 """Trees: validity over shapes that break builders, queries against brute force, cost, packing, instances, the cache."""
 
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +15,8 @@ from glhybrid import bvh, reference
 from glhybrid.bvh import Blas, blas, build_blas, build_tlas, cache, load_or_build, pack, presplit, reinsert
 from glhybrid.bvh.fragments import LEAF, MEDIAN_DEPTH
 from glhybrid.errors import GeometryError
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def same(a: Blas, b: Blas) -> bool:
@@ -396,6 +401,16 @@ def test_cache_is_bounded(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("not ours")
     cache.trim(tmp_path, keep=tmp_path / "0.blas", limit=300)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["0.blas", "3.blas", "4.blas", "notes.txt"]
+
+
+def test_nothing_is_written_where_the_cache_is_off(tmp_path: Path) -> None:
+    """Not even compiled kernels, and no folder called "off"."""
+    code = (
+        "import numpy as np; from glhybrid.bvh import build_blas; build_blas(np.random.rand(3000, 3, 3).astype('f4'))"
+    )
+    kept = {"GLHYBRID_CACHE": "off", "PYTHONPATH": str(ROOT), "PATH": os.environ["PATH"], "HOME": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=kept, check=True, timeout=300)
+    assert not list(tmp_path.iterdir())
 
 
 def test_cache_can_be_turned_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
