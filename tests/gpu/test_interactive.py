@@ -81,10 +81,13 @@ def test_stagings_side_by_side_do_not_disturb_each_other(renderer: Renderer, con
         running.append((settings, staged.refine(timing)))
     assert len({id(renderer.stage(scene, s, SIZE).upload) for s in every}) == 1
     pictures = {}
-    for _ in range(3):
+    for _ in range(3):  # on a GPU one step is several samples of the reference
         for settings, samples in running:
             renderer.stage(scene, settings, SIZE)
-            _, _, image = next(samples)
+            step = next(samples, None)
+            if step is None:
+                continue
+            _, _, image = step
             pictures[settings.shadows, settings.reflections] = np.frombuffer(image.read(), np.float32)
     for settings in every:
         with Renderer(context=context) as alone:

@@ -87,7 +87,7 @@ def test_no_mirror_no_reflection(renderer: gh.Renderer) -> None:
     assert "reflect" not in ran.dispatched and not any(p.startswith("reflect") for p in ran.programs)
     assert "reflection" not in ran.images and ran.skipped("reflect pass")
     bytes_without = ran.plan["image_bytes"]
-    mirror = Ran(renderer, scene(Material(double_sided=True, roughness=0.1)))
+    mirror = Ran(renderer, scene(Material(double_sided=True, roughness=0.1)), kernels="fused")
     assert "reflect" in mirror.dispatched and any(p.startswith("reflect") for p in mirror.programs)
     assert mirror.plan["image_bytes"] - bytes_without == 16 * SIZE[0] * SIZE[1]
     off = Ran(renderer, scene(Material(double_sided=True, roughness=0.1)), reflections="none")

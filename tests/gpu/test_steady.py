@@ -103,7 +103,13 @@ def test_nothing_is_made_or_read_in_a_frame(
         for camera in (cameras[0], *cameras):
             one_frame(staged, camera)
     frames = len(cameras) + 1
-    expected = {"reflect": 1, "composite": 1, "exposure": 1, "display": 1, "gbuffer": int(primary == "trace")}
+    reflect = ("reflect_ray", "reflect_shadow", "reflect_shade") if staged.plan.split else ("reflect",)
+    expected = dict.fromkeys(reflect, 1) | {
+        "composite": 1,
+        "exposure": 1,
+        "display": 1,
+        "gbuffer": int(primary == "trace"),
+    }
     expected |= {"shadow": -(-lights // 8)} if shadows == "ray" else {"shadow_map": 1}
     assert calls == Counter({name: count * frames for name, count in expected.items()})
     renderer.context.gl.finish()

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from glhybrid.renderer import Renderer
 
 FRAMES, SIZE, HALF = 9, (120, 90), 1.5
-AOVS = ("visibility", "reflection_hit", "reflection", "instance_id", "triangle_id")
+AOVS = ("visibility", "reflection_hit", "reflection", "instance_id", "triangle_id", "position")
 
 
 def posts(offset: float) -> Scene:
@@ -42,7 +42,7 @@ def test_nothing_flickers_in_a_pan(renderer: "Renderer", offset: float) -> None:
         pose[:3, 3] += k * pixel * base[:3, 0]
         camera = Camera(f"pan {k}", pose, fov_y=0, ymag=HALF)
         frames.append(renderer.render(world, camera, SIZE, Settings(aa=1), aovs=AOVS))
-    flips = checked = 0
+    flips = rounded = checked = 0
     first = frames[0]
     for k, frame in enumerate(frames[1:], start=1):
         # Pixel x of frame k is pixel x + k of the first.
@@ -50,12 +50,17 @@ def test_nothing_flickers_in_a_pan(renderer: "Renderer", offset: float) -> None:
         new = {name: frame[name][:, : SIZE[0] - k] for name in AOVS}
         same = old["triangle_id"] == new["triangle_id"]
         assert same.mean() > 0.9995, "the raster itself decides otherwise only on outlines"
-        flips += int((old["visibility"] != new["visibility"]).any(-1)[same].sum())
+        still = (old["position"] == new["position"]).all(-1) & same
+        flipped = (old["visibility"] != new["visibility"]).any(-1)
         checked += int(same.sum())
         before, after = (np.minimum(x["reflection_hit"].astype(np.float64), 1e6) for x in (old, new))  # inf: the sky
         changed = np.abs(before - after) > 1e-3 * before
-        flips += int(changed[same].sum())
+        flipped |= changed
+        flips += int(flipped[still].sum())
+        rounded += int(flipped[same & ~still].sum())
     assert checked > 50_000 and flips == 0, (flips, checked)
+    # A pixel a step further is rounded anew: its point is another float, 1e-7 m away, and may stand across an edge.
+    assert rounded <= 3e-5 * checked, (rounded, checked)
     shadows = first["visibility"][..., 0]
     assert 0.03 < (shadows == 0).mean() < 0.9 and np.isfinite(first["reflection_hit"]).any()
 
