@@ -42,6 +42,7 @@ class Features:
     reflections: bool = False  # a pass for what the mirror direction shows runs
     mirror_rays: bool = False  # and traces, as do blended layers
     probes: bool = False  # captured surroundings stand before the sky
+    probes_blurred: bool = False  # and not only exact mirrors show them
     march: bool = False  # and looks into the G-buffer first
     reflect_grid: int = 0  # which pixels send mirror rays before what is between them (layout GRID_*)
     pixel_list: bool = False  # or those on a list
@@ -98,6 +99,13 @@ def reflective(material: Material, cutoff: float) -> bool:
         material.clearcoat_roughness < cutoff or "clearcoat_roughness" in material.textures
     )
     return not material.unlit and (material.roughness < cutoff or "metallic_roughness" in material.textures or coated)
+
+
+def exact_mirror(material: Material) -> bool:
+    """Whether it is a mirror everywhere, base and coat: textures only make it smoother."""
+    return material.roughness < MIRROR_ROUGHNESS and (
+        material.clearcoat == 0 or material.clearcoat_roughness < MIRROR_ROUGHNESS
+    )
 
 
 def _map_filter(settings: Settings) -> int:
@@ -164,6 +172,8 @@ def find(scene: Scene, settings: Settings) -> Needs:
         reflect_grid=techniques.reflect_grid(settings) if reflections else 0,
         glossy=reflections and reflecting.mirror_pass == "glossy",
         probes=mirrors and reflecting.mirror_pass == "probe",
+        probes_blurred=reflecting.mirror_pass == "probe"
+        and any(reflective(m, cutoff) and not exact_mirror(m) for m in materials),
         emitters=reference and any(max(m.emissive) > 0 for m in materials),
         lightmap=lightmap,
         terminator=visibility and settings.terminator and not (shadow_maps or lightmap),

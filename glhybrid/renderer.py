@@ -258,6 +258,7 @@ class Staged:
             march=features.march and not empty,
             glossy=features.glossy and not empty,
             probes=features.probes and not empty,
+            probes_blurred=features.probes_blurred and not empty,
             visibility=features.visibility and not empty,
             shadow_maps=features.shadow_maps and not empty,
             shadow_rays=features.shadow_rays and not empty,

@@ -64,18 +64,20 @@ class Probe:
         self.release()
         self.placed = tuple(sorted(placed, key=lambda p: float(np.prod(np.subtract(p.high, p.low)))))
         gl, count = self._context.gl, len(placed)
-        sizes = layout.PREFILTER_SIZES
         faces = gl.texture_array((self.face_size, self.face_size, 6 * count), 4, dtype="f2")
-        rough = gl.texture_array((sum(s + 2 for s in sizes), max(sizes) + 2, count), 4, dtype="f2")
-        for texture in (faces, rough):
+        rows = gl.buffer(reserve=count * layout.dtype("Probe").itemsize)
+        self._owned = [faces, rows]
+        self.resources = {
+            "probe_faces": faces, "Probes": rows, "probe_count": count, "probe_blend": self._blend,
+        }  # fmt: skip
+        if self._features.probes_blurred:
+            sizes = layout.PREFILTER_SIZES
+            rough = gl.texture_array((sum(s + 2 for s in sizes), max(sizes) + 2, count), 4, dtype="f2")
+            self._owned.append(rough)
+            self.resources["probe_rough"] = rough
+        for texture in (t for t in self._owned if isinstance(t, moderngl.TextureArray)):
             texture.repeat_x = texture.repeat_y = False
             texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
-        rows = gl.buffer(reserve=count * layout.dtype("Probe").itemsize)
-        self._owned = [faces, rough, rows]
-        self.resources = {
-            "probe_faces": faces, "probe_rough": rough, "Probes": rows, "probe_count": count,
-            "probe_blend": self._blend,
-        }  # fmt: skip
 
     def store(self, probe: int, face: int, radiance: Any) -> None:
         """A rendered face, face_size texels a side."""
@@ -83,7 +85,9 @@ class Probe:
         self._store.dispatch(given, (self.face_size, self.face_size))
 
     def blur(self, keep: bool) -> None:
-        """Maps of all roughnesses, once the faces are stored. keep: on disk, by content."""
+        """Maps of all roughnesses from the stored faces, if not only mirrors show them. keep: on disk, by content."""
+        if not self._features.probes_blurred:
+            return
         shape = len(self.placed), 6, self.face_size, self.face_size, 4
         faces = np.frombuffer(self.resources["probe_faces"].read(), np.float16).reshape(shape)[..., :3]
         rough = self.resources["probe_rough"]

@@ -1,11 +1,14 @@
 // lib/probe.glsl -- surroundings captured at a few points, seen from others through a box that stands for the walls.
 // Box projection: Behc, "Box Projected Cubemap Environment Mapping" (2010); Lagarde & Zanuttini, "Local Image-based
 // Lighting With Parallax-corrected Cubemap", SIGGRAPH 2012.
+#include "lib/brdf.glsl"
 #include "lib/environment.glsl"
 
 #if USE_PROBES
 uniform sampler2DArray probe_faces;    // +X -X +Y -Y +Z -Z of every probe, with a border texel
+#if USE_PROBES_BLURRED
 uniform sampler2DArray probe_rough;    // a layer a probe: octahedral maps of PREFILTER_SIZES, as the sky's
+#endif
 layout(std430) readonly buffer Probes { Probe probes[]; };    // the smallest box first
 uniform int probe_count;
 uniform float probe_blend;             // m around a box over which it fades out
@@ -20,13 +23,20 @@ vec3 probe_face(int probe, vec3 d) {
     return textureLod(probe_faces, vec3(at, float(6 * probe + 2 * axis + (s < 0.0 ? 1 : 0))), 0.0).rgb;
 }
 
+#if USE_PROBES_BLURRED
 vec3 probe_map(int probe, int x, int size, vec3 d) {
     vec2 p = vec2(float(x) + 1.0, 1.0) + oct_encode(d) * float(size);
     return textureLod(probe_rough, vec3(p / vec2(textureSize(probe_rough, 0).xy), float(probe)), 0.0).rgb;
 }
 
+#endif
+
 // What a probe saw in direction d, blurred by the GGX lobe of this roughness: environment_prefiltered of the sky.
 vec3 probe_prefiltered(int probe, vec3 d, float roughness) {
+#if !USE_PROBES_BLURRED
+    return probe_face(probe, d);                                           // mirrors alone
+#else
+    if (roughness < MIRROR_ROUGHNESS) return probe_face(probe, d);
     float level = clamp(roughness, 0.0, 1.0) * float(PREFILTER_LEVELS) - 1.0;
     int i = int(floor(level));
     int x = 0;
@@ -36,6 +46,7 @@ vec3 probe_prefiltered(int probe, vec3 d, float roughness) {
     if (i < 0) low = probe_face(probe, d);
     else low = probe_map(probe, x, PREFILTER_SIZES[i], d_unit);
     return mix(low, probe_map(probe, i >= 0 && i < j ? x + PREFILTER_SIZES[i] + 2 : x, PREFILTER_SIZES[j], d_unit), level - floor(level));
+#endif
 }
 
 // How much a probe has to say at a point: 1 in its box.

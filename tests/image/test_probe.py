@@ -17,7 +17,7 @@ from scene_kit import Camera, Light, box, constant_sky, floor, matte, metal, sce
 import glhybrid as gh
 from glhybrid import probe_placement
 from glhybrid.layout import CONSTANTS
-from glhybrid.scene import Environment, Probe, Scene
+from glhybrid.scene import Animation, Channel, Environment, Node, Probe, Scene
 
 if TYPE_CHECKING:
     from glhybrid.context import Context
@@ -188,6 +188,33 @@ def test_captured_once_and_again_when_lights_change(context: "Context", renderer
     assert ratio == pytest.approx(4.0, rel=0.01)
 
 
+def test_what_moves_is_captured_where_it_is(context: "Context", renderer: gh.Renderer) -> None:
+    """A block and a lamp that a clip carries about: the pictures are those of scenes that stand still there."""
+    made = mirror_room.lit_room().replace(probes=(ROOM,))
+    block, way = 2, np.array([[0, 0, 0], [1.5, 0.5, 0.5]], np.float32)
+    lamp = way + np.array(made.lights[0].position, np.float32)
+    nodes = (Node("block", -1), Node("lamp", -1, translation=made.lights[0].position))
+    times = np.array([0, 1], np.float32)
+    channels = tuple(Channel(i, "translation", "LINEAR", times, v) for i, v in enumerate((way, lamp)))
+    instances = tuple(replace(p, node=0) if i == block else p for i, p in enumerate(made.instances))
+    clip = made.replace(
+        instances=instances, lights=(replace(made.lights[0], node=1),), nodes=nodes,
+        animations=(Animation("a", channels),),
+    )  # fmt: skip
+    for time in (0.0, 1.0, 0.5):
+        moved = np.eye(4)
+        moved[:3, 3] = time * way[1]
+        there = tuple(replace(p, world_from_object=moved) if i == block else p for i, p in enumerate(made.instances))
+        at = tuple((np.array(made.lights[0].position) + time * way[1]).tolist())
+        still = made.replace(instances=there, lights=(replace(made.lights[0], position=at),))
+        settings = gh.Settings(reflections="probe", aa=1, exposure=0.0)
+        want = renderer.render(still, size=SIZE, settings=settings)
+        got = renderer.render(clip, size=SIZE, settings=settings.replace(time=time))
+        assert {p["name"] for p in got.receipt["passes"]} >= {"probe", "gbuffer"}
+        far = np.abs(got["radiance"] - want["radiance"]).max(-1) > 0.01 * want["radiance"].mean()
+        assert far.mean() < 0.01, time
+
+
 def test_it_costs_no_pass_and_no_image(context: "Context") -> None:
     made = mirror_room.room().replace(probes=(ROOM,))
     settings = gh.Settings(reflections="probe", aa=1, exposure=0.0, parameters={"reflections.probe.resolution": 16})
@@ -201,7 +228,11 @@ def test_it_costs_no_pass_and_no_image(context: "Context") -> None:
         assert staged is not None and "reflection" not in staged.targets._images
         dfg = 8 * 64 * 64
         maps = staged.probe.bytes if staged.probe is not None else 0
-        assert plan["image_bytes"] - without["image_bytes"] == maps + dfg and maps > 8 * 6 * 18 * 18
+        assert plan["image_bytes"] - without["image_bytes"] == maps + dfg and maps == 8 * 6 * 18 * 18
+        assert not any("prefilter" in p for p in plan["programs"])  # only mirrors: nothing is blurred
+        rough = made.replace(materials=tuple(replace(m, roughness=0.3) for m in made.materials))
+        plan = fresh.render(rough, size=SIZE, settings=settings).receipt["plan"]
+        assert plan["image_bytes"] - without["image_bytes"] > maps + dfg
 
 
 def test_scene_file(tmp_path: Path) -> None:

@@ -223,7 +223,8 @@ def test_the_pyramid_holds_the_nearest(context: "Context", renderer: gh.Renderer
         for y in range(height):
             for x in range(width):
                 cells = slice(y << level, (y + 1) << level), slice(x << level, (x + 1) << level)
-                assert got[y, x, 0] == near[cells].max() and got[y, x, 1] == far[cells].min(), (level, x, y)
+                want = near[cells].max(), far[cells].min()  # which drivers may round another way
+                assert np.allclose(got[y, x], want, rtol=1e-6, atol=1e-9), (level, x, y)
         row += padded >> level
     assert (width, height) == (1, 1)
     # The planes themselves: 1 / distance along the view axis, exact from pixel to pixel on a wall.
