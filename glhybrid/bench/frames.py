@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -25,7 +25,9 @@ class FrameTimes:
 
     host_us: CPU time of the calling thread for one steady frame with nothing finished in it, median: our Python and
     the driver below it. A software rasteriser works through all vertices on that thread; there the host is measured on
-    frames of HOST_SIZE whose primary rays are traced, the same calls but for one.
+    frames of HOST_SIZE whose primary rays are traced, the same calls but for one. host_moving_us: with a camera that
+    moves, its view made anew every frame. spread: distance between the quartiles of frame_ms, as a share of it; 0 where
+    frames are timed in one batch.
     """
 
     scene: str
@@ -33,6 +35,8 @@ class FrameTimes:
     passes: dict[str, float]
     frame_ms: float
     host_us: float
+    spread: float = 0.0
+    host_moving_us: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
         return {
@@ -41,6 +45,8 @@ class FrameTimes:
             "passes": [{"name": name, "ms": ms} for name, ms in self.passes.items()],
             "frame_ms": self.frame_ms,
             "host_us": self.host_us,
+            "host_moving_us": self.host_moving_us,
+            "spread": self.spread,
         }
 
 
@@ -82,20 +88,36 @@ def measure(renderer: Renderer, name: str, scene: Scene, size: tuple[int, int], 
     timing = Timing(finish)
     for _ in range(repeats + 1):  # the first does not count
         frame(timing)
-    host = host_seconds(renderer, scene, HOST_SIZE, "trace") if software else host_seconds(renderer, scene, size)
-    return FrameTimes(name, size, timing.medians(), float(np.median(walls)) * 1e3, host * 1e6)
+    small, primary = (HOST_SIZE, "trace") if software else (size, "auto")
+    host, moving = (1e6 * host_seconds(renderer, scene, small, primary, m) for m in (False, True))  # type: ignore[arg-type]
+    low, middle, high = np.percentile(walls, (25, 50, 75))
+    return FrameTimes(name, size, timing.medians(), middle * 1e3, host, float((high - low) / middle), moving)
 
 
-def host_seconds(renderer: Renderer, scene: Scene, size: tuple[int, int], primary: Primary = "auto") -> float:
-    """CPU time of the calling thread for a steady frame, median of HOST_FRAMES that nothing waits for."""
+def host_seconds(
+    renderer: Renderer, scene: Scene, size: tuple[int, int], primary: Primary = "auto", moving: bool = False
+) -> float:
+    """CPU time of the calling thread for a steady frame, median of HOST_FRAMES that nothing waits for.
+
+    moving: through another view each time, made from its camera, a thousandth of the scene further to its right.
+    """
     settings = Settings(primary=primary)
     frame, off = steady_frame(renderer, scene, size, settings), Timing(renderer.context.gl.finish, enabled=False)
     frame(off)
     renderer.context.gl.finish()
-    times = []
-    for _ in range(HOST_FRAMES):
+    staged, camera, times = renderer.stage(scene, settings, size), choose_camera(scene, None), []
+    step = camera.world_from_view[:3, 0] * float(np.linalg.norm(staged.bounds[1] - staged.bounds[0])) / 1000
+    for k in range(HOST_FRAMES):
         start = time.thread_time()
-        frame(off)
+        if moving:
+            pose = camera.world_from_view.copy()
+            pose[:3, 3] += k * step
+            clip = renderer.context.limits.clip_control
+            staged.look(make_view(replace(camera, world_from_view=pose), size, scene, clip, staged.bounds))
+            staged.set(jitter_px=(0, 0), accumulate=0)
+            staged.display.run(staged.targets, staged.frame(off))
+        else:
+            frame(off)
         times.append(time.thread_time() - start)
     renderer.context.gl.finish()
     return float(np.median(times))

@@ -125,10 +125,10 @@ def show(report: Report) -> None:
         passes = list(dict.fromkeys(name for frame in report.frames for name in frame.passes))
         print()
         console.table(
-            ("frame", "size", *(f"{name} ms" for name in passes), "frame ms", "host us"),
+            ("frame", "size", *(f"{name} ms" for name in passes), "frame ms", "+-", "host us", "moving us"),
             [
                 (f.scene, f"{f.size[0]}x{f.size[1]}", *(_fixed(f.passes.get(p), 2) for p in passes),
-                 _fixed(f.frame_ms, 2), _fixed(f.host_us, 0))
+                 _fixed(f.frame_ms, 2), f"{50 * f.spread:.0f}%", _fixed(f.host_us, 0), _fixed(f.host_moving_us, 0))
                 for f in report.frames
             ],
         )  # fmt: skip
