@@ -15,7 +15,7 @@ from glhybrid.image import replacing
 from glhybrid.renderer import Renderer
 from glhybrid.scene import F32, Camera, Scene
 from glhybrid.settings import Settings
-from glhybrid.study import direct, measure, results, stability, store, sweep
+from glhybrid.study import direct, measure, reflected, results, stability, store, sweep
 from glhybrid.study import reference as references
 from glhybrid.study.develop import develop
 from glhybrid.study.measure import Clock
@@ -194,12 +194,17 @@ class SceneStudy:
         if not cell.parameters:
             small = (width // 2, height // 2)
             moving = stability.pan(self.renderer, self.scene, self._pan_camera, small, settings, self.spent.pan_steps)
+        shown = None
+        if self._mirrors is not None and cell.axis_of("reflections"):
+            shown = self._mirrors.ask(self.renderer, settings)
         images = measure.save_images(self.folder, stem, frame, flip)
         return {
             "scene": self.name, **measure.describe(cell, times), "bytes": measure.memory(frame.receipt), **errors,
             "flicker": moving.flicker if moving else None,
             "flicker_p99": moving.flicker_p99 if moving else None,
             "flip_rate_percent": moving.flip_rate_percent if moving else None,
+            "right_object_percent": shown.right_object_percent if shown else None,
+            "reflected_distance_error_percent": shown.distance_error_percent if shown else None,
             "images": images,
         }  # fmt: skip
 
@@ -212,6 +217,10 @@ class SceneStudy:
         if not self.scene.lights or not self.scene.instances:
             return None
         return direct.find(self.renderer, self.scene, self.camera, self.spent.size, self.spent.points)
+
+    @cached_property
+    def _mirrors(self) -> reflected.Mirrors | None:
+        return reflected.find(self.renderer, self.scene, self.camera, self.spent.size)
 
     @cached_property
     def _pan_camera(self) -> Camera:

@@ -63,6 +63,12 @@ class Cell:
         rest = [kind for kind in self.techniques if kind not in MAIN and self.techniques[kind] != "none"]
         return " + ".join([*words, *(f"{kind} {self.name(kind)}" for kind in rest)])
 
+    def axis_of(self, kind: str) -> bool:
+        """Whether it is of a kind's axis: all others at their defaults."""
+        usual = defaults()
+        own = all(key.startswith(f"{kind}.") for key in self.parameters)
+        return own and all(self.techniques[k] == name for k, name in usual.items() if k != kind)
+
     @property
     def stem(self) -> str:
         """A file name of it."""

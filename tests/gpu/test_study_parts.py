@@ -11,7 +11,7 @@ import glhybrid as gh
 from glhybrid.load.builtin import scene_path
 from glhybrid.scene import Environment
 from glhybrid.settings import Settings
-from glhybrid.study import curves, paper, peers, picture, stages
+from glhybrid.study import curves, paper, peers, picture, reflected, stages
 from glhybrid.study.measure import Clock
 from glhybrid.study.peers import bundle, glb
 from glhybrid.study.progress import Meter
@@ -166,3 +166,26 @@ def test_mitsuba_sees_the_same_picture(renderer: gh.Renderer, tmp_path: Path) ->
     row = peers.ask(renderer, "mitsuba", site, 64, notes.append)
     assert row is not None, notes
     assert row["flip"] < 0.1 and abs(row["bias_percent"]) < 2 and (tmp_path / row["images"]["flip"]).is_file()
+
+
+def test_what_mirrors_show(renderer: gh.Renderer) -> None:
+    """Rays show the right object everywhere; the sky alone only where there is one; screen space lies between."""
+    scene, camera = stages.mirror_floor(0.0)
+    mirrors = reflected.find(renderer, scene, camera, SIZE)
+    assert mirrors is not None and 0.3 < mirrors.counted.mean() < 1
+    exact = mirrors.ask(renderer, Settings(aa=1))
+    assert exact.right_object_percent == 100 and exact.distance_error_percent == 0
+    sky = mirrors.ask(renderer, Settings(aa=1, reflections="env"))
+    truly = 100 * float(np.isinf(mirrors.distance[mirrors.counted]).mean())
+    assert sky.right_object_percent == pytest.approx(truly) and 20 < truly < 95
+    screen = mirrors.ask(renderer, Settings(aa=1, reflections="ssr"))
+    assert sky.right_object_percent < screen.right_object_percent < 100
+    assert screen.distance_error_percent is not None and screen.distance_error_percent < 5
+    rough, _ = stages.mirror_floor(0.9)
+    unlit = rough.replace(instances=rough.instances[:1])
+    assert reflected.find(renderer, unlit, camera, SIZE) is None
+
+
+def test_codes_tell_objects_apart() -> None:
+    codes = {reflected.code(n) for n in range(511)}
+    assert len(codes) == 511 and (0, 0, 0) not in codes and reflected.code(511) == reflected.code(0)

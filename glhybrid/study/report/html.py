@@ -208,8 +208,8 @@ COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("wrong_shadow_percent", "wrong<br>shadow %", "of pixels that face a light"),
     ("wrong_shadow_outside_percent", "outside<br>edges %", "outside the one-pixel band of the true edge"),
     ("wrong_shadow_inside_percent", "inside<br>edges %", "inside that band"),
-    ("right_object_percent", "right<br>object %", "of mirror pixels that show the object that is there"),
-    ("reflected_error_px", "reflected<br>point, px", "median error of the reflected point, where the object is right"),
+    ("right_object_percent", "right<br>object %", "of smooth pixels whose mirror image shows the object that is there"),
+    ("reflected_distance_error_percent", "its distance<br>off by %", "median, where the object is right"),
     ("flicker", "flicker", "mean change of a world point under a pan by one pixel, over mean luminance"),
     ("flip_rate_percent", "shadow<br>flips %", "points whose shadow changes sides, a frame of that pan"),
 )
