@@ -21,7 +21,7 @@ KEPT = ("normal", "base_color")  # textures that decide directions and holes
 
 @dataclass(frozen=True)
 class Shown:
-    """right_object_percent: of smooth pixels, that show the object, or the sky, that is there. distance_error_percent: of
+    """right_object_percent: of smooth pixels, those that show what is there. distance_error_percent: of
     those on an object, median error of its distance along the ray; None where the technique tells no distance."""
 
     right_object_percent: float
