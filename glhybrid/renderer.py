@@ -32,7 +32,7 @@ from glhybrid.passes.sky import Sky
 from glhybrid.passes.ssao import Ssao
 from glhybrid.passes.ssr import Ssr
 from glhybrid.probe_capture import Capture
-from glhybrid.readback import Reading, at_once
+from glhybrid.readback import Reading, Ring, at_once
 from glhybrid.scene import Camera, Scene
 from glhybrid.settings import Settings
 from glhybrid.shaders import Shaders
@@ -63,6 +63,7 @@ class Renderer:
         self.shaders = Shaders(self.context)
         self._most = INTERACTIVE_STAGINGS if interactive else 1
         self._stagings: list[Staged] = []  # the last one was used last
+        self.rings: set[Ring] = set()  # of frames() and arrays() that are not at their end
 
     def render(
         self,
@@ -196,6 +197,8 @@ class Renderer:
 
     def close(self) -> None:
         """Frees everything. Twice is harmless."""
+        while self.rings:
+            self.rings.pop().release()
         self._drop(0)
         self.shaders.release()
         if self._owns_context:

@@ -9,7 +9,7 @@ import numpy as np
 
 from glhybrid import outputs
 from glhybrid import pose as posing
-from glhybrid.errors import SettingError
+from glhybrid.errors import DeviceError, SettingError
 from glhybrid.image import Frame
 from glhybrid.readback import Reading, Ring
 from glhybrid.scene import Camera, Scene
@@ -107,9 +107,14 @@ def _stream(
     if not 1 <= in_flight <= MOST_IN_FLIGHT:
         raise SettingError(f"in_flight {in_flight}: expected from 1 to {MOST_IN_FLIGHT} pictures")
     ring = Ring(renderer.context, in_flight)
+    renderer.rings.add(ring)
     finish = renderer.context.gl.finish
     try:
         for number, shot in enumerate(shots):
+            if ring not in renderer.rings:
+                raise DeviceError(
+                    "the renderer was closed before the last picture: take them all inside its with block"
+                )
             chosen = settings if shot.time is None else settings.replace(time=shot.time)
             timing = Timing(finish, enabled=number < timed)
             drawn = _Drawn(*renderer.draw(scene, shot.camera, size, chosen, aovs, timing))
@@ -119,4 +124,6 @@ def _stream(
         while len(ring):
             yield ring.take()
     finally:
-        ring.release()
+        if ring in renderer.rings:  # else close() has freed it
+            renderer.rings.remove(ring)
+            ring.release()

@@ -8,7 +8,7 @@ import pytest
 
 import glhybrid as gh
 from glhybrid import outputs
-from glhybrid.errors import SettingError
+from glhybrid.errors import DeviceError, SettingError
 from glhybrid.image import AOVS
 from glhybrid.load import load
 from glhybrid.readback import Ring, at_once
@@ -63,6 +63,18 @@ def test_only_what_is_asked_for_is_read(context: "Context", models: Path) -> Non
         with pytest.raises(SettingError, match="in_flight 0"):
             list(renderer.frames(scene, [Shot()], SIZE, in_flight=0))
         assert list(renderer.frames(scene, [], SIZE)) == []
+
+
+def test_a_renderer_that_is_closed_first(context: "Context", models: Path) -> None:
+    """Frees what was on its way; whoever asks for more is told."""
+    scene = load(models / "BoxAnimated/BoxAnimated.glb")
+    with Renderer(context=context) as renderer:
+        frames = renderer.arrays(scene, [Shot(0.1 * k) for k in range(9)], SIZE, Settings(aa=1))
+        next(frames)
+        assert len(renderer.rings) == 1
+    assert not renderer.rings
+    with pytest.raises(DeviceError, match="closed before the last picture"):
+        next(frames)
 
 
 def test_times_outside_the_clip_are_said(context: "Context", models: Path) -> None:
