@@ -45,9 +45,11 @@ class FrameTimes:
             "passes": [{"name": name, "ms": ms} for name, ms in self.passes.items()],
             "frame_ms": self.frame_ms,
             "host_us": self.host_us,
-            "host_moving_us": self.host_moving_us,
-            "spread": self.spread,
         }
+
+    def evidence(self) -> dict[str, Any]:
+        """What else was measured: one entry of machine.frame_measurements."""
+        return {"scene": self.scene, "spread": self.spread, "host_moving_us": self.host_moving_us}
 
 
 def steady_frame(

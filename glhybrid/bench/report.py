@@ -71,6 +71,7 @@ class Report:
             "failures": self.failures,
             "notes": self.notes,
             "measurements": [row.evidence() for row in self.rows],
+            "frame_measurements": [frame.evidence() for frame in self.frames],
         }
         return {
             "machine": self.machine | about,
