@@ -53,7 +53,7 @@ def make(
         )
     levels, why = 2, "what moves does not rebuild the rest"
     if motion is None:
-        levels, why = choose_levels(scene, settings.levels)
+        levels, why = choose_levels(scene, settings.levels, software)
     reference = settings.reflections == "reference"
     reasons = [f"{levels} level{'s' if levels > 1 else ''} of trees: {why}"]
     primary: str = settings.primary

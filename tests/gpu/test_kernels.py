@@ -7,6 +7,7 @@ import pytest
 
 from glhybrid import Renderer, Settings, load
 from glhybrid.context import Context
+from glhybrid.geometry import choose_levels
 from glhybrid.scene import Camera, Instance, Light, Material, Mesh, Scene, Sphere
 
 AOVS = ("reflection", "reflection_hit", "reason")
@@ -64,3 +65,11 @@ def test_three_programs_are_one(context: Context, scene: Any, levels: Any, shado
             assert np.array_equal(one[name], three[name])
         off = np.abs(one[name] - three[name]).max(-1) > 1e-4 * (1 + one[name].max(-1))
         assert off.mean() < 1e-3
+
+
+def test_a_gpu_flattens_what_is_repeated_a_few_times() -> None:
+    scene = load("atrium")
+    assert choose_levels(scene, "auto", software=True)[0] == 2
+    levels, why = choose_levels(scene, "auto", software=False)
+    assert levels == 1 and "times the triangles" in why
+    assert choose_levels(load("plaza"), "auto", software=False)[0] == 2
