@@ -14,8 +14,8 @@ from glhybrid.bvh import Blas, load_or_build
 from glhybrid.errors import GeometryError
 from glhybrid.scene import F32, F64, U32, Instance, Material, Mesh, Scene, Sphere, Triangles
 
-# Triangles after flattening / before: above it, instances save more than one level gains. A GPU gains more: on an H100 one
-# level made `atrium` (5 times as many) 1.28 times as fast, `plaza` (12 times, 90 MB instead of 8) only 1.11 times.
+# Triangles after flattening / before: above it, instances save more than one level gains. A GPU gains more: on an H100
+# one level made `atrium` (5 times as many) 1.28 times as fast, `plaza` (12 times, 90 MB instead of 8) only 1.11 times.
 FLATTEN_GROWTH = 1.25
 FLATTEN_GROWTH_GPU = 6.0
 SMALLEST_AREA = 1e-24  # m2, of the parallelogram: below it, products of three lengths underflow float32 in the ray test
