@@ -106,24 +106,27 @@ def _stream(
     """What the readings of each shot return, in order. timed: how many pictures wait for their passes' times."""
     if not 1 <= in_flight <= MOST_IN_FLIGHT:
         raise SettingError(f"in_flight {in_flight}: expected from 1 to {MOST_IN_FLIGHT} pictures")
-    ring = Ring(renderer.context, in_flight)
+    ring = Ring(renderer.context, in_flight + 1)  # and the one just drawn
     renderer.rings.add(ring)
     finish = renderer.context.gl.finish
     try:
         for number, shot in enumerate(shots):
-            if ring not in renderer.rings:
-                raise DeviceError(
-                    "the renderer was closed before the last picture: take them all inside its with block"
-                )
             chosen = settings if shot.time is None else settings.replace(time=shot.time)
             timing = Timing(finish, enabled=number < timed)
             drawn = _Drawn(*renderer.draw(scene, shot.camera, size, chosen, aovs, timing))
-            if ring.full:
-                yield ring.take()
             ring.send(readings(drawn, chosen, timing if timing.enabled else None))
+            if ring.full:  # whoever takes a picture may draw another: nothing is left in the images by now
+                yield ring.take()
+                _check_open(renderer, ring)
         while len(ring):
             yield ring.take()
+            _check_open(renderer, ring)
     finally:
         if ring in renderer.rings:  # else close() has freed it
             renderer.rings.remove(ring)
             ring.release()
+
+
+def _check_open(renderer: "Renderer", ring: Ring) -> None:
+    if ring not in renderer.rings:
+        raise DeviceError("the renderer was closed before the last picture: take them all inside its with block")

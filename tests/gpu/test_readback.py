@@ -1,5 +1,6 @@
 """Pictures through the ring are those of single renders, bit for bit, and a steady frame makes and waits for nothing."""
 
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -63,6 +64,22 @@ def test_only_what_is_asked_for_is_read(context: "Context", models: Path) -> Non
         with pytest.raises(SettingError, match="in_flight 0"):
             list(renderer.frames(scene, [Shot()], SIZE, in_flight=0))
         assert list(renderer.frames(scene, [], SIZE)) == []
+
+
+@pytest.mark.parametrize("in_flight", [1, 2])
+def test_drawing_something_else_in_between(context: "Context", models: Path, in_flight: int) -> None:
+    """Same size, same scene, same settings: the same images are drawn over between any two pictures."""
+    scene = load(models / "BoxAnimated/BoxAnimated.glb")
+    chosen, names = Settings(aa=1), ("depth", "radiance")
+    shots = [Shot(0.5 * k) for k in range(6)]
+    with Renderer(context=context) as renderer:
+        plain = list(renderer.frames(scene, shots, SIZE, chosen, names))
+        for frame, want in zip(renderer.frames(scene, shots, SIZE, chosen, names, in_flight), plain, strict=True):
+            renderer.render(scene, size=SIZE, settings=chosen.replace(time=3.3), aovs=names)
+            np.testing.assert_array_equal(frame.rgb, want.rgb)
+            for name in names:
+                np.testing.assert_array_equal(frame[name], want[name])
+    assert any((a.rgb != b.rgb).any() for a, b in pairwise(plain))
 
 
 def test_a_renderer_that_is_closed_first(context: "Context", models: Path) -> None:
