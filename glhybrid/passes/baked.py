@@ -2,8 +2,9 @@
 
 Visibility, not light, is what is baked, a layer a light: the composite stays the same formula, and colours, intensities
 and ranges of lights may change without another bake. A light without size is one any-hit ray from the texel's point,
-one with a size is `shadows.baked.samples` rays over its disc. Points inside solids are pushed out along their surface
-(baked_push.comp) or take their neighbours' values. Hits of reflection rays and blended layers read the same maps.
+one with a size is `shadows.baked.samples` rays over its disc, or the first few where these agree with each other and
+with those of all texels around. Points inside solids are pushed out along their surface (baked_push.comp) or take their
+neighbours' values. Hits of reflection rays and blended layers read the same maps.
 
 Kept on disk by content: geometry, lights, what rays may pass through, numbers, shaders and device. What moves cannot be
 baked: plan.py refuses it.
@@ -11,6 +12,7 @@ baked: plan.py refuses it.
 
 import math
 import zlib
+from collections.abc import Callable
 from typing import Any
 
 import moderngl
@@ -27,7 +29,8 @@ from glhybrid.settings import Settings
 from glhybrid.shaders import Shaders
 from glhybrid.targets import Targets
 
-ROWS_AT_ONCE = 1 << 18  # texels in a dispatch
+ROWS_AT_ONCE = 1 << 17  # texels in a dispatch
+FIRST_SAMPLES = 16  # of a light with a size, everywhere; the others only where these say that there is a penumbra
 RAYS_AT_ONCE = 8  # of an invocation: llvmpipe ends all its loops at 65,535 turns, rays included
 BAKE_INSIDE = 2.0  # as in lib/bake.glsl
 
@@ -116,42 +119,40 @@ class Baked:
 
     def _bake(self, progress: Progress | None) -> np.ndarray:
         """(lights * pages, height, width, components) uint8 visibility."""
-        map_, lights = self.layout, self._scene.lights
-        pages, height, width = map_.pages
-        values = np.zeros((len(lights), pages * height * width, self._components), np.uint8)
+        map_, lights, components = self.layout, self._scene.lights, self._components
+        values = np.zeros((len(lights), math.prod(map_.pages), components), np.uint8)
         if not len(map_.index):
             return values
-        valid = np.zeros(pages * height * width, bool)
-        sums = np.zeros((len(lights), len(map_.index), self._components), np.float32)
-        inside = np.zeros(len(map_.index), bool)
         tracer = _Tracer(self._context, self._shaders, self._scene, self._features, self._settings, map_.density)
+        chart = np.zeros(map_.pages, np.int32)
+        chart.reshape(-1)[map_.index] = map_.chart
         try:
-            for first in range(0, len(map_.index), ROWS_AT_ONCE):
-                rows = slice(first, min(first + ROWS_AT_ONCE, len(map_.index)))
-                inside[rows] = tracer.place(_rows(map_, rows))
-                for light in range(len(lights)):
-                    sums[light, rows] = tracer.trace(light, lights[light].angular_diameter + lights[light].radius > 0)[
-                        :, : self._components
-                    ]
-                    if progress is not None:
-                        done = first * len(lights) + (rows.stop - first) * (light + 1)
-                        progress("baking", done, len(map_.index) * len(lights))
+            points = tracer.points(map_, progress)
+            inside = points[:, 3] == BAKE_INSIDE
+            valid = np.zeros(map_.pages, bool)
+            valid.reshape(-1)[map_.index] = ~inside
+            for light, row in enumerate(lights):
+                many = self._number("samples") if row.has_size else 1
+                few = min(many, FIRST_SAMPLES)
+                bar = _bar(progress, f"baking light {light + 1} of {len(lights)}")
+                sums = tracer.trace(map_, points, np.arange(len(map_.index)), light, 0, few, bar)
+                away = sums[:, 3] <= 0
+                sums /= few
+                plane = np.zeros((*map_.pages, components), np.float32)
+                plane.reshape(-1, components)[map_.index] = sums[:, :components]
+                if many > few:
+                    rows = np.flatnonzero(_uneven(plane[..., 0], chart).reshape(-1)[map_.index] & ~inside)
+                    bar = _bar(progress, f"baking penumbras of light {light + 1} of {len(lights)}")
+                    more = tracer.trace(map_, points, rows, light, few, many, bar)
+                    plane.reshape(-1, components)[map_.index[rows]] = (few * sums[rows] + more)[:, :components] / many
+                if inside.any() and self._number("dilation"):
+                    from glhybrid.lightmap_kernels import spread
+
+                    spread(plane, valid.copy(), chart, self._number("dilation"))
+                _soften_terminator(plane, chart, map_.index, away)
+                values[light] = np.rint(np.clip(plane, 0, 1) * 255).reshape(-1, components)
         finally:
             tracer.release()
-        valid[map_.index] = ~inside
-        chart = np.zeros(pages * height * width, np.int32)
-        chart[map_.index] = map_.chart
-        for light in range(len(lights)):
-            plane = np.zeros((pages * height * width, self._components), np.float32)
-            plane[map_.index] = sums[light]
-            if inside.any() and self._number("dilation"):
-                from glhybrid.lightmap_kernels import spread
-
-                spread(
-                    plane.reshape(pages, height, width, -1), valid.reshape(pages, height, width).copy(),
-                    chart.reshape(pages, height, width), self._number("dilation"),
-                )  # fmt: skip
-            values[light] = np.rint(np.clip(plane, 0, 1) * 255)
         return values
 
     def run(self, targets: Targets, ids: Any, set_lights: Any) -> Any:
@@ -168,10 +169,44 @@ class Baked:
         self.resources.clear()
 
 
-def _rows(map_: Lightmap, rows: slice) -> np.ndarray:
-    """(N, 4) uint32 of lib/bake.glsl."""
-    bary = np.ascontiguousarray(map_.bary[rows], np.float32).view(np.uint32)
-    return np.column_stack([map_.instance[rows], map_.triangle[rows], bary])
+def _uneven(plane: F32, chart: np.ndarray) -> np.ndarray:
+    """(P, H, W) bool: texels at most two from one of their chart that differs from a neighbour, or is between 0 and 1.
+
+    Only there is a penumbra: all others are lit or dark by their first samples, and so are all around them.
+    """
+    uneven = (plane > 0) & (plane < 1)
+    for axis in (1, 2):
+        ahead, behind = [slice(None)] * 3, [slice(None)] * 3
+        ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
+        a, b = tuple(ahead), tuple(behind)
+        differs = (plane[a] != plane[b]) & (chart[a] == chart[b])
+        uneven[a] |= differs
+        uneven[b] |= differs
+    for _ in range(2):
+        for axis in (1, 2):
+            before = uneven.copy()
+            ahead, behind = [slice(None)] * 3, [slice(None)] * 3
+            ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
+            uneven[tuple(ahead)] |= before[tuple(behind)]
+            uneven[tuple(behind)] |= before[tuple(ahead)]
+    return uneven
+
+
+def _soften_terminator(plane: F32, chart: np.ndarray, index: np.ndarray, away: np.ndarray) -> None:
+    """Dark texels whose fronts face away from the light take the value of those beside them that face it, in place.
+
+    A facet that faces away is dark by itself, and looks up nothing; but its texels are neighbours of lit facets'.
+    """
+    from glhybrid.lightmap_kernels import spread
+
+    dark = np.zeros(plane.shape[:3], bool)
+    dark.reshape(-1)[index] = away & ~plane.reshape(-1, plane.shape[3])[index].any(1)
+    if dark.any():
+        spread(plane, ~dark, chart, 2)
+
+
+def _bar(progress: Progress | None, stage: str) -> Callable[[int, int], None]:
+    return (lambda done, total: progress(stage, done, total)) if progress is not None else lambda done, total: None
 
 
 def _inflated(data: bytes, size: int) -> bytes | None:
@@ -195,47 +230,65 @@ class _Tracer:
         constants = np.zeros(1, layout.dtype("FrameConstants"))
         constants["top_root"], constants["light_count"] = scene.top_root, len(scene.lights)
         constants["top_grid_min"], constants["top_grid_step"] = scene.top_grid(centre)
-        self._samples = settings.parameter("shadows.baked.samples")
-        self._buffers = {
-            "Frame": gl.buffer(constants), "BakeTexels": gl.buffer(reserve=16 * ROWS_AT_ONCE),
-            "BakePoints": gl.buffer(reserve=16 * ROWS_AT_ONCE), "BakeSums": gl.buffer(reserve=16 * ROWS_AT_ONCE),
-        }  # fmt: skip
+        self._buffers = {"Frame": gl.buffer(constants)} | {
+            name: gl.buffer(reserve=16 * ROWS_AT_ONCE) for name in ("BakeTexels", "BakePoints", "BakeSums")
+        }
         # Both sides of everything are met: what is behind a face says whether a point is inside.
         self._push = None
         if settings.parameter("shadows.baked.push"):
             self._push = shaders.compute("baked_push", features.replace(single_sided=False))
         self._trace = shaders.compute("baked_trace", features)
         self._reach = lightmap.REACH / density
-        self._count = 0
 
-    def _given(self, **more: Any) -> dict[str, Any]:
-        return {**self._scene.resources, **self._buffers, "bake_count": self._count, **more}
+    def _dispatch(self, program: Any, count: int, **more: Any) -> None:
+        across = min(count, 1 << 16)
+        given = {**self._scene.resources, **self._buffers, "bake_count": count, **more}
+        program.dispatch(given, (across, math.ceil(count / across)), (64, 1))
 
-    def _dispatch(self, program: Any, **more: Any) -> None:
-        across = min(self._count, 1 << 16)
-        program.dispatch(self._given(**more), (across, math.ceil(self._count / across)), (64, 1))
+    def _load(self, map_: Lightmap, rows: np.ndarray) -> None:
+        bary = np.ascontiguousarray(map_.bary[rows], np.float32).view(np.uint32)
+        self._buffers["BakeTexels"].write(np.column_stack([map_.instance[rows], map_.triangle[rows], bary]))
 
-    def place(self, rows: np.ndarray) -> np.ndarray:
-        """Takes the texels (N, 4) that the next traces are from; returns (N,) bool: inside a solid."""
-        self._count = len(rows)
-        self._buffers["BakeTexels"].write(np.ascontiguousarray(rows))
+    def _read(self, name: str, count: int) -> F32:
+        return np.frombuffer(self._buffers[name].read(16 * count), np.float32).reshape(-1, 4)
+
+    def points(self, map_: Lightmap, progress: Progress | None) -> F32:
+        """(N, 4) float32 of all texels: where those that were in a solid are now, and BAKE_*."""
+        found = np.zeros((len(map_.index), 4), np.float32)
         if self._push is None:
-            self._buffers["BakePoints"].write(bytes(16 * self._count))
-            return np.zeros(self._count, bool)
-        self._dispatch(self._push, bake_reach=self._reach)
-        points: F32 = np.frombuffer(self._buffers["BakePoints"].read(16 * self._count), np.float32).reshape(-1, 4)
-        return points[:, 3] == BAKE_INSIDE
+            return found
+        bar = _bar(progress, "placing texels")
+        for rows in _parts(np.arange(len(found))):
+            self._load(map_, rows)
+            self._dispatch(self._push, len(rows), bake_reach=self._reach)
+            found[rows] = self._read("BakePoints", len(rows))
+            bar(int(rows[-1]) + 1, len(found))
+        return found
 
-    def trace(self, light: int, sized: bool) -> F32:
-        """(N, 4) float32: the share of one light that arrives."""
-        samples = self._samples if sized else 1
-        for first in range(0, samples, RAYS_AT_ONCE):
-            self._dispatch(
-                self._trace, bake_light=light, bake_first=first, bake_end=min(first + RAYS_AT_ONCE, samples),
-                bake_samples=samples,
-            )  # fmt: skip
-        return np.frombuffer(self._buffers["BakeSums"].read(16 * self._count), np.float32).reshape(-1, 4)
+    def trace(
+        self, map_: Lightmap, points: F32, rows: np.ndarray, light: int, first: int, end: int,
+        bar: Callable[[int, int], None],
+    ) -> F32:  # fmt: skip
+        """(N, 4) float32 over texels `rows` (N,): how much of samples first to end of one light arrives, summed."""
+        found = np.zeros((len(rows), 4), np.float32)
+        done = 0
+        for part in _parts(rows):
+            self._load(map_, part)
+            self._buffers["BakePoints"].write(np.ascontiguousarray(points[part]))
+            for sample in range(first, end, RAYS_AT_ONCE):
+                self._dispatch(
+                    self._trace, len(part), bake_light=light, bake_first=sample,
+                    bake_end=min(sample + RAYS_AT_ONCE, end), bake_more=sample > first,
+                )  # fmt: skip
+            found[done : done + len(part)] = self._read("BakeSums", len(part))
+            done += len(part)
+            bar(done, len(rows))
+        return found
 
     def release(self) -> None:
         for buffer in self._buffers.values():
             buffer.release()
+
+
+def _parts(rows: np.ndarray) -> list[np.ndarray]:
+    return [rows[k : k + ROWS_AT_ONCE] for k in range(0, len(rows), ROWS_AT_ONCE)]

@@ -1,7 +1,7 @@
 // lib/bake.glsl -- the surface point that a texel of a light map stands for.
 #include "lib/light.glsl"
 #include "lib/bvh.glsl"
-#include "lib/random.glsl"
+#include "lib/low_discrepancy.glsl"
 
 layout(local_size_x = 64) in;
 layout(std430) readonly buffer BakeTexels { uvec4 bake_texels[]; };    // instance, triangle, bits of bary
