@@ -27,6 +27,7 @@ class FrameConstants:
         }
         self._view: View | None = None
         self._previous: tuple[F64, F64] | None = None
+        self._previous_axis: tuple[F64, F64] | None = None
         self.under(scene, settings)
 
     def under(self, scene: Scene, settings: Settings) -> None:
@@ -62,6 +63,11 @@ class FrameConstants:
             before = previous[0].copy()
             before[:, 3] += previous[0][:, :3] @ (view.origin - previous[1])
         views["previous_clip_from_world"][...] = before.T  # columns first, as GLSL has it
+        axis, eye = (view.forward, view.eye) if self._previous_axis is None else self._previous_axis
+        if previous is not None:
+            eye = eye + previous[1] - view.origin
+        views["previous_depth"][...] = (*axis, -(axis @ eye))
+        self._previous_axis = view.forward, view.eye
         self._previous = (clip, view.origin)
         self.put(light_first=0, light_end=light_count, light_count=light_count)
         if self._view is view:

@@ -26,12 +26,14 @@ STRUCTS: dict[str, list[Row]] = {
     "FrameConstants": [
         ("mat4", "clip_from_world", "world is origin-relative: the renderer rebases it on the camera"),
         ("mat4", "previous_clip_from_world", "of the frame before, in this frame's world"),
+        ("vec4", "previous_depth", "dot with (point, 1): its depth along the view axis of the frame before"),
         ("vec3", "eye_ws", "origin of primary rays (perspective)"),
         ("float", "pixel_angle", "rad a pixel, at the image centre; footprint in m if orthographic"),
         ("vec3", "right_ws", "ray direction per unit of ndc.x; half extent in m if orthographic"),
         ("uint", "orthographic", "1 = parallel rays along forward_ws"),
         ("vec3", "up_ws", "ray direction per unit of ndc.y"),
         ("uint", "seed", "of every random sequence"),
+        ("uint", "history", "HISTORY_*"),
         ("uint", "number", "of this frame since the picture began: the next points of every sequence"),
         ("vec3", "forward_ws", "unit"),
         ("float", "near", "m along forward_ws: nothing closer is seen"),
@@ -176,6 +178,8 @@ CONSTANTS: dict[str, int] = {
     "KIND_TRIANGLE": 0, "KIND_SPHERE": 1,
     "ANY_HIT_OPAQUE": 0, "ANY_HIT_MASK": 1, "ANY_HIT_TINT": 2,
     "ALPHA_OPAQUE": 0, "ALPHA_MASK": 1, "ALPHA_BLEND": 2,
+    # What earlier frames a filter may use: none, the one before, or one of this very view.
+    "HISTORY_NONE": 0, "HISTORY_BEFORE": 1, "HISTORY_SAME_VIEW": 2,
     "LIGHT_DIRECTIONAL": 0, "LIGHT_POINT": 1, "LIGHT_SPOT": 2,
     # How depth maps are looked up: nearest texel, box over texels, turned disc of taps, disc sized by the blockers.
     "FILTER_TAP": 0, "FILTER_BOX": 1, "FILTER_DISC": 2, "FILTER_PCSS": 3,
@@ -307,6 +311,22 @@ CHANNELS: dict[str, Channel] = {
         Channel("mirror_hit", 4, "u4", "rgba32ui", "of split reflections: distance, barycentrics, row of triangles"),
         Channel("mirror_ray", 4, "u4", "rgba32ui", "of split reflections: direction, row of instances"),
         Channel("mirror_lit", 1, "u4", "r32ui", "of split reflections: a bit for each light that arrives"),
+        *(
+            Channel(f"{name}_{frame}", parts, kind, form, meaning)
+            for frame in ("even", "odd")
+            for name, parts, kind, form, meaning in (
+                ("guide", 4, "u4", "rgba32ui", "normal, depth along the view axis, row of records, roughness"),
+                ("reflection_history", 4, "f4", "rgba32f", "mean of all frames; over how many m it changes"),
+                ("reflection_moments", 2, "f2", "rg16f", "rays; their mean square luminance over squared mean"),
+                ("reflection_coat_history", 4, "f4", "rgba32f", "the same of the clearcoat"),
+                ("reflection_coat_moments", 2, "f2", "rg16f", ""),
+                ("visibility_history", 4, "f2", "rgba16f", "the same of lights, a layer a light"),
+                ("visibility_moments", 2, "f2", "rg16f", ""),
+            )
+        ),
+        Channel("denoise_moved", 4, "f4", "rgba32f", "how far the point has come since the frame before, m"),
+        Channel("denoise_ping", 4, "f4", "rgba32f", "a signal between filters; variance of its luminance"),
+        Channel("denoise_pong", 4, "f4", "rgba32f", ""),
         Channel("radiance", 4, "f4", "rgba32f", "linear Rec. 709 radiance, coverage"),
         Channel("aov", 4, "u4", "rgba32ui", "bits of one AOV"),
         Channel("reason", 1, "u1", "r8ui", "REASON_*"),

@@ -48,7 +48,10 @@ class Features:
     pixel_list: bool = False  # or those on a list
     glossy: bool = False  # or gathers rays over specular lobes
     glossy_coat: bool = False  # of the clearcoat, in passes/glossy.comp
-    denoise: bool = False  # a filter follows
+    denoise: bool = False  # and their noise is filtered
+    denoise_shadows: bool = False  # as that of penumbras is
+    denoise_signal: int = 0  # which, in passes/denoise_*.comp
+    denoise_last: bool = False  # the last step of a filter
     emitters: bool = False  # reference: something shines
     terminator: bool = False
     reason: bool = False
@@ -133,6 +136,7 @@ def find(scene: Scene, settings: Settings) -> Needs:
     mirrors = any(reflective(m, cutoff) for m in materials)
     reflecting = techniques.REFLECTIONS[settings.reflections]
     reflections = reflecting.mirror_pass not in ("", "probe") and mirrors
+    rough = any(reflective(m, cutoff) and not exact_mirror(m) for m in materials)
     technique = techniques.SHADOWS[settings.shadows]
     visibility = lit and settings.shadows != "none" and not reference
     shadow_maps = visibility and technique.depth_maps
@@ -174,6 +178,9 @@ def find(scene: Scene, settings: Settings) -> Needs:
         probes=mirrors and reflecting.mirror_pass == "probe",
         probes_blurred=reflecting.mirror_pass == "probe"
         and any(reflective(m, cutoff) and not exact_mirror(m) for m in materials),
+        denoise=reflections and reflecting.mirror_pass == "glossy" and rough
+        and settings.parameter("reflections.ray-glossy.denoise"),
+        denoise_shadows=visibility and light_discs and settings.parameter("shadows.ray-soft.denoise"),
         emitters=reference and any(max(m.emissive) > 0 for m in materials),
         lightmap=lightmap,
         terminator=visibility and settings.terminator and not (shadow_maps or lightmap),

@@ -93,7 +93,8 @@ def make(
         shadow = "baked" if features.lightmap else shadow
         occlusion = {"ssao": "ssao", "ray": "ray_ao"}.get(settings.ao, "")
         passes += [shadow] * features.visibility + [occlusion] * features.occlusion
-        passes += [*_mirror_passes(features, settings), "composite"]
+        passes += _mirror_passes(features, settings)
+        passes += ["denoise"] * (features.denoise or features.denoise_shadows) + ["composite"]
     passes.append("display")
     return Plan(features, levels, primary, split, tuple(passes), tuple(reasons), tuple(skipped))
 

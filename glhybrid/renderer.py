@@ -8,7 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from glhybrid import __version__, deform, geometry, motion, outputs, plan, pose, stream
+from glhybrid import __version__, deform, geometry, layout, motion, outputs, plan, pose, stream
 from glhybrid.context import Context, open_context
 from glhybrid.frame_constants import FrameConstants
 from glhybrid.gpu_scene import GpuScene
@@ -17,6 +17,7 @@ from glhybrid.mover import Mover
 from glhybrid.passes.aov import Aov
 from glhybrid.passes.baked import Baked
 from glhybrid.passes.composite import Composite
+from glhybrid.passes.denoise import Denoise
 from glhybrid.passes.display import Display
 from glhybrid.passes.gbuffer import GBufferRaster, GBufferTrace
 from glhybrid.passes.glossy import Glossy
@@ -247,7 +248,8 @@ class Staged:
         if moving is not None and self.mover is None:
             self.mover = Mover(context, shaders, upload, moving, features, settings.rebuild)
         self.bounds = moving.bounds if moving is not None else scene.bounds()
-        if moving is not None and "motion" in aovs:
+        self._motion_aov = "motion" in aovs
+        if moving is not None and (self._motion_aov or features.denoise or features.denoise_shadows):
             upload.keep_previous(vertices=bool(moving.deformers))
             features = features.replace(moving=True, deforming=bool(moving.deformers))
         empty = not len(upload.geometry.meshes)
@@ -262,6 +264,8 @@ class Staged:
             glossy=features.glossy and not empty,
             probes=features.probes and not empty,
             probes_blurred=features.probes_blurred and not empty,
+            denoise=features.denoise and not empty,
+            denoise_shadows=features.denoise_shadows and not empty,
             visibility=features.visibility and not empty,
             shadow_maps=features.shadow_maps and not empty,
             shadow_rays=features.shadow_rays and not empty,
@@ -302,6 +306,10 @@ class Staged:
             self.reflect = Reflect(shaders, upload, features, self.plan.split)
         self.probe = Probe(context, shaders, upload, features, settings) if features.probes else None
         self._capture: Capture | None = None
+        filtered = features.denoise or features.denoise_shadows
+        self.denoise = Denoise(shaders, upload, features, settings) if filtered else None
+        self._stochastic = features.glossy or features.light_discs
+        self._number, self._looks = 0, 0  # frames since the history began, looks since the last one
         reference = settings.reflections == "reference" and not empty  # without a tree there is only the background
         self.reference = Reference(context, shaders, upload, features) if reference else None
         self.composite = Composite(shaders, upload, features) if not reference else None
@@ -323,7 +331,7 @@ class Staged:
                 return False
         if scene is not self.scene and ({settings.shadows, settings.reflections} & LIT_AHEAD or not self._like(scene)):
             return False
-        if self.mover is not None and ("motion" in aovs) != self.features.moving:
+        if self.mover is not None and ("motion" in aovs) != self._motion_aov:
             return False
         told = ("reason" in aovs, "reflection_hit" in aovs)
         return told == (self.features.reason, self.features.exact_distance) and not self.outgrown
@@ -347,6 +355,7 @@ class Staged:
         if size == self.targets.size:
             return
         other, self._spare, self._ids = self._spare, self.targets, None
+        self.cut()
         if other is None or other.size != size:
             if other is not None:
                 other.release()
@@ -399,6 +408,7 @@ class Staged:
     def look(self, view: View) -> None:
         """Points the next frames through a view."""
         self._ids = None
+        self._looks += 1
         if self.probe is not None:
             if self.probe.stale:
                 self._capture_probes(self.probe)
@@ -426,17 +436,44 @@ class Staged:
         self.constants.put(**values)
         self.constants.upload()
 
+    def cut(self) -> None:
+        """The next frame starts anew: nothing of those before is mixed in, and random sequences begin again."""
+        self._number = 0
+
+    def _follow(self) -> None:
+        """Tells shaders which frame this is, and what of the one before filters may use."""
+        if not self._stochastic:
+            return
+        kind = "NONE" if self._number == 0 or self._looks > 1 else "BEFORE" if self._looks else "SAME_VIEW"
+        self.set(number=self._number, history=layout.CONSTANTS[f"HISTORY_{kind}"])
+        self._number, self._looks = self._number + 1, 0
+
     def frame(self, timing: Timing) -> Any:
-        """Kim's frame: what is seen, what light reaches it, what it reflects, together. Returns linear radiance."""
+        """Kim's frame: what is seen, what light reaches it, what it reflects, together. Returns linear radiance.
+
+        Frames drawn in a row are taken for a movie: filters go on from the one before, unless cut() was called.
+        """
         targets, run = self.targets, timing.run
         timing.frame()
         assert self.composite is not None
-        visibility = None
+        self._follow()
         ids = run("gbuffer", lambda: self.gbuffer.run(targets))
-        if self.shadow is not None:
-            visibility = run(self.shadow.name, lambda: self.shadow.run(targets, ids, self._set_lights))  # type: ignore[union-attr]
-        indirect = self._indirect(run, ids, visibility)
+        visibility, indirect = self._light(run, ids)
         return run("composite", lambda: self.composite.run(targets, ids, visibility, indirect))  # type: ignore[union-attr]
+
+    def _light(self, run: Callable[[str, Callable[[], Any]], Any], ids: Any) -> tuple[Any, dict[str, Any]]:
+        """The images of what light arrives directly, and of what arrives by other ways."""
+        shadow, denoise, targets, visibility = self.shadow, self.denoise, self.targets, None
+        if denoise is not None:
+            run(denoise.name, lambda: denoise.begin(targets, ids))
+        if shadow is not None:
+            visibility = run(shadow.name, lambda: shadow.run(targets, ids, self._set_lights))
+            if denoise is not None:
+                run(denoise.name, lambda: denoise.visibility(targets, visibility))
+        indirect = self._indirect(run, ids, visibility)
+        if denoise is not None:
+            run(denoise.name, lambda: denoise.reflections(targets, indirect))
+        return visibility, indirect
 
     def _indirect(self, run: Callable[[str, Callable[[], Any]], Any], ids: Any, visibility: Any) -> dict[str, Any]:
         """How open the sky is, and what specular lobes show, by the techniques in use: images by their channel."""
@@ -466,6 +503,7 @@ class Staged:
     def refine(self, timing: Timing) -> Iterator[tuple[int, int, Any]]:
         """(samples done, of how many, radiance) after each step of one picture. What is in between may be shown."""
         self._ids = None
+        self.cut()  # a picture does not depend on those before it
         if self.reference is not None:
             self.set(jitter_px=(0, 0))
             self._ids = self.gbuffer.run(self.targets)
@@ -475,7 +513,7 @@ class Staged:
         count = self.settings.aa or 4
         for i in range(count):
             self._ids = None  # the pass images are of this sample's rays from here on
-            self.set(jitter_px=_jitter(i, count), accumulate=i / (i + 1), number=i)
+            self.set(jitter_px=_jitter(i, count), accumulate=i / (i + 1))
             yield i + 1, count, self.frame(timing)
 
     def aov(self, name: str, view: View) -> np.ndarray:
@@ -487,12 +525,12 @@ class Staged:
         if name == "radiance":
             return outputs.texels(radiance, 0, 3)
         if self._ids is None:
-            self.set(jitter_px=(0, 0), accumulate=0, number=0)
+            self.cut()
+            self._follow()
+            self.set(jitter_px=(0, 0), accumulate=0)
             self._ids = self.gbuffer.run(self.targets)
-            visibility = None
-            if self.shadow is not None:
-                visibility = self.shadow.run(self.targets, self._ids, self._set_lights)
-            self._indirect(lambda _, work: work(), self._ids, visibility)
+            self._light(lambda _, work: work(), self._ids)
+            self.cut()
         width, height = self.targets.size
         if name == "visibility":
             if self.shadow is None:

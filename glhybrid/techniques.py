@@ -72,6 +72,11 @@ _CUTOFF = Parameter(
 )
 _STEPS = Parameter("steps", 256, "cells of the depth pyramid that a ray looks at, at most", 1, 65536)
 _RADIUS = Parameter("radius", 1.0, "m: what is farther does not occlude", 1e-6, 1e9, sweep=())
+_FILTER = (
+    Parameter("denoise", True, "filter the noise over frames and pixels"),
+    Parameter("history", 32, "frames that count, at most", 1, 1024, sweep=()),
+    Parameter("iterations", 4, "steps of the filter over pixels, each twice as wide", 1, 8, sweep=()),
+)
 _PLANE = Parameter("receiver_plane", True, "each tap is compared with the depth of the receiver's plane there")
 
 _ALL = (
@@ -165,6 +170,7 @@ _ALL = (
         parameters=(
             Parameter("samples", 4, "rays a pixel and light", 1, 4096),
             Parameter("hit_samples", 1, "rays a light from what a reflection or a blended layer shows", 1, 64),
+            *_FILTER,
         ),
     ),
     Technique("reflections", "none", "no reflected light but the lights' highlights", implemented=True),
@@ -243,6 +249,7 @@ _ALL = (
         parameters=(
             Parameter("samples", 4, "rays a pixel from a roughness of 0.25 on; a mirror takes one", 1, 4096),
             _CUTOFF,
+            *_FILTER,
         ),
     ),
     Technique(

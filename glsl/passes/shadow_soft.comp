@@ -47,12 +47,12 @@ void main() {
         bool disc = lights[i].size > 0.0;
         uint first = uint(ray_first), end = disc ? uint(ray_end) : 1u;
         if (first >= end) continue;
-        vec4 result = vec4(0.0);
+        vec4 result = vec4(0.0, 0.0, 0.0, -1.0);                           // -1: no ray, nothing to filter
         if (covered(p)) {
             LightSample l = light_at(lights[i], s.point.position);
             if (arrives(l) && faces(s, l.dir)) {
                 if (disc) result = disc_rays_from(from, s, l, i, px, first, end);
-                else result.rgb = any_hit(Ray(shadow_origin(from, l.dir), 0.0, l.dir, l.distance));
+                else result = vec4(any_hit(Ray(shadow_origin(from, l.dir), 0.0, l.dir, l.distance)), 0.0);
             }
         }
         if (first > 0u) {

@@ -1,0 +1,92 @@
+"""Filters noisy images over time and space: soft shadows light by light, glossy reflections lobe by lobe.
+
+One guide a frame (normals, depths, ids, roughness); then for each signal one dispatch that gathers what earlier frames
+know, and a few of a wavelet filter. Images of a signal are made when it is first filtered.
+
+Chosen: exact counts of samples and their measured variance steer everything, so that a converged image passes through
+unchanged. Rejected: a fixed blend factor and blur radii by roughness alone, which blur what needs no filter.
+"""
+
+from typing import Any
+
+from glhybrid.gpu_scene import GpuScene
+from glhybrid.needs import Features
+from glhybrid.settings import Settings
+from glhybrid.shaders import Shaders
+from glhybrid.targets import Targets
+
+SIGNALS = {"reflection": 1, "reflection_coat": 2, "visibility": 3}  # as in lib/denoise.glsl
+KEYS = {"reflections": "reflections.ray-glossy", "shadows": "shadows.ray-soft"}
+
+
+class Denoise:
+    """Owns no image: those of the frame before are exchanged by name with each frame."""
+
+    name = "denoise"
+
+    def __init__(self, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings) -> None:
+        self._scene, self._features, self._settings = scene, features, settings
+        self._guide = shaders.compute("denoise_guide", features)
+        wanted = ["visibility"] * features.denoise_shadows
+        if features.denoise:
+            wanted += ["reflection"] + ["reflection_coat"] * features.clearcoat
+        self._programs = {}
+        for signal in wanted:
+            named = features.replace(denoise_signal=SIGNALS[signal])
+            self._programs[signal] = (
+                shaders.compute("denoise_temporal", named),
+                shaders.compute("denoise_atrous", named),
+                shaders.compute("denoise_atrous", named.replace(denoise_last=True)),
+            )
+        self._odd = False
+        self._sized = [i for i, light in enumerate(scene.lights) if light.has_size]
+
+    def begin(self, targets: Targets, ids: Any) -> None:
+        """The guide of this frame; the one before becomes history, with all images of its signals."""
+        self._odd = not self._odd
+        resources = {**self._scene.resources, "gbuffer_id": ids, "out_guide": targets.get(self._now("guide"))}
+        if self._features.moving:
+            resources["out_moved"] = targets.get("denoise_moved")
+        self._guide.dispatch(resources, targets.size)
+
+    def visibility(self, targets: Targets, image: Any) -> None:
+        """Filters the layers of lights with a size, in place."""
+        for light in self._sized if "visibility" in self._programs else ():
+            self._filter(targets, "visibility", image, {"layer": light})
+
+    def reflections(self, targets: Targets, images: dict[str, Any]) -> None:
+        """Filters every lobe's image, in place."""
+        for lobe in images.keys() & self._programs.keys():
+            self._filter(targets, lobe, images[lobe], {"noise": targets.get(f"{lobe}_noise")})
+
+    def _now(self, name: str, before: bool = False) -> str:
+        return f"{name}_odd" if self._odd != before else f"{name}_even"
+
+    def _parameter(self, signal: str, name: str) -> Any:
+        return self._settings.parameter(f"{KEYS['shadows' if signal == 'visibility' else 'reflections']}.{name}")
+
+    def _filter(self, targets: Targets, signal: str, image: Any, more: dict[str, Any]) -> None:
+        layers = len(self._scene.lights) if signal == "visibility" else 0
+
+        def get(part: str, before: bool = False) -> Any:
+            return targets.get(self._now(f"{signal}_{part}", before), layers=layers)
+
+        temporal, step, last = self._programs[signal]
+        ping, pong = targets.get("denoise_ping"), targets.get("denoise_pong")
+        resources = {
+            **self._scene.resources, **more, "guide": targets.get(self._now("guide")),
+            "guide_before": targets.get(self._now("guide", before=True)), "signal": image,
+            "history": get("history", before=True), "moments": get("moments", before=True),
+            "out_history": get("history"), "out_moments": get("moments"), "out_filtered": ping,
+            "history_frames": float(self._parameter(signal, "history")),
+            "samples": float(self._parameter(signal, "samples")),
+        }  # fmt: skip
+        if self._features.moving:
+            resources["moved"] = targets.get("denoise_moved")
+        temporal.dispatch(resources, targets.size)
+        resources["history"], resources["out_signal"] = get("history"), image
+        count = self._parameter(signal, "iterations")
+        for i in range(count):
+            resources |= {"filtered": ping, "out_filtered": pong, "stride": 1 << i}
+            (last if i == count - 1 else step).dispatch(resources, targets.size)
+            ping, pong = pong, ping

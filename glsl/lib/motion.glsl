@@ -1,0 +1,33 @@
+// lib/motion.glsl -- where a point of a surface was a frame ago, in this frame's world: the same sums as for where it is.
+#include "lib/gbuffer.glsl"
+
+#if USE_MOVING
+layout(std430) readonly buffer PreviousInstances { Placement previous_instances[]; };
+#if USE_DEFORMING
+uniform usamplerBuffer previous_vertices;
+#else
+#define previous_vertices vertices
+#endif
+
+vec3 previous_vertex(uint i) { return uintBitsToFloat(texelFetch(previous_vertices, int(i) * 2).xyz); }
+
+vec3 previous_position(Pixel p, Surface s) {
+    mat4x3 m = previous_instances[p.hit.instance].world_from_object;
+    uvec4 tri = texelFetch(triangles, int(p.hit.triangle));
+    vec3 v0 = previous_vertex(tri.x);
+    vec3 e1 = previous_vertex(tri.y) - v0, e2 = previous_vertex(tri.z) - v0;
+    // What has not moved is the same point: not rebuilt, since drivers may round the same sums apart.
+    vec3 now_0 = vertex_position(tri.x);
+    if (m == instances[p.hit.instance].world_from_object && v0 == now_0 && e1 == vertex_position(tri.y) - now_0 &&
+        e2 == vertex_position(tri.z) - now_0) return s.point.position;
+    vec3 p_os = interpolate(v0, e1, e2, p.hit.bary);
+    if (SPHERES && hit_group_of(p.hit.instance, tri.w).kind == KIND_SPHERE) {
+        Instance inst = instances[p.hit.instance];
+        p_os = mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]) * s.point.position
+             + inst.object_from_world[3];
+    }
+    return transform_point(m, p_os);
+}
+#else
+vec3 previous_position(Pixel p, Surface s) { return s.point.position; }
+#endif

@@ -1,0 +1,57 @@
+// passes/denoise_atrous.comp -- one step of an edge-avoiding wavelet filter (Dammertz et al., HPG 2010), whose reach in
+// values is the signal's own standard deviation (Schied et al. 2017): what is known well is left alone. Its reach in space
+// is a share of the length over which the truth changes, so that contacts stay sharp.
+#include "lib/denoise.glsl"
+#include "lib/tile.glsl"
+
+uniform sampler2D filtered;              // mean; a: variance of its luminance, < 0: not to be touched
+uniform SIGNAL_SAMPLER history;          // a: length over which the truth changes, m
+uniform int stride;
+#if USE_DENOISE_LAST
+layout(SIGNAL_FORMAT) uniform SIGNAL_IMAGE out_signal;
+#else
+layout(rgba32f) writeonly uniform image2D out_filtered;
+#endif
+
+const float KERNEL[3] = float[](0.375, 0.25, 0.0625);    // cubic B-spline
+
+const float LENGTH_SHARE = 1.0;
+const float LEAST_PIXELS = 1.0;
+const float DEVIATIONS = 5.0;
+
+void main() {
+    ivec2 px = tile_pixel();
+    if (any(greaterThanEqual(px, frame.size_px))) return;                  // groups overhang the edge
+    vec4 center = texelFetch(filtered, px, 0);
+    vec4 result = center;
+    if (center.a > 0.0) {
+        Guide g = unpack_guide(texelFetch(guide, px, 0), vec2(px));
+        float width = pixel_width(g.depth);
+        float len = max(LENGTH_SHARE * texelFetch(history, AT(px), 0).a, LEAST_PIXELS * width);
+        float m = luminance(center.rgb), deviation = DEVIATIONS * sqrt(center.a) + 1e-6 * m;
+        if (len > 0.3 * float(stride) * width) {
+            float weight = square(KERNEL[0]);
+            result = center * vec4(vec3(weight), square(weight));
+            for (int y = -2; y <= 2; y++)
+                for (int x = -2; x <= 2; x++) {
+                    ivec2 q = px + stride * ivec2(x, y);
+                    if ((x == 0 && y == 0) || !inside(q)) continue;
+                    vec4 c = texelFetch(filtered, q, 0);
+                    if (c.a < 0.0) continue;
+                    Guide there = unpack_guide(texelFetch(guide, q, 0), vec2(q));
+                    vec3 d = there.position - g.position;
+                    float w = KERNEL[abs(x)] * KERNEL[abs(y)] * alike(g, there)
+                            * exp(-0.5 * dot(d, d) / square(len) - abs(luminance(c.rgb) - m) / deviation);
+                    result += c * vec4(vec3(w), square(w));
+                    weight += w;
+                }
+            result /= vec4(vec3(weight), square(weight));
+        }
+    }
+#if USE_DENOISE_LAST
+    vec4 raw = imageLoad(out_signal, AT(px));
+    if (center.a >= 0.0) imageStore(out_signal, AT(px), vec4(result.rgb, raw.a));
+#else
+    imageStore(out_filtered, px, result);
+#endif
+}
