@@ -294,7 +294,7 @@ CHANNELS: dict[str, Channel] = {
         Channel("gbuffer_id", 2, "u4", "rg32ui", "row of instances, row of triangles; ID_NONE = a miss"),
         Channel("visibility", 1, "f1", "r8", "1 = light arrives; a layer a light"),
         Channel("visibility_tint", 4, "f2", "rgba16f", "the same through tinted surfaces"),
-        Channel("visibility_soft", 4, "f2", "rgba16f", "the same with penumbras; their half width, m, 0 = not known"),
+        Channel("visibility_soft", 4, "f4", "rgba32f", "the same with penumbras; their half width, m, 0 = not known"),
         Channel("occlusion", 1, "f4", "r32f", "open share of the sky, 1 = all"),
         Channel("occlusion_raw", 1, "f4", "r32f", "the same before its filter"),
         Channel("reflection", 4, "f4", "rgba32f", "radiance along the mirror direction, distance to what is seen"),
@@ -320,7 +320,7 @@ CHANNELS: dict[str, Channel] = {
                 ("reflection_moments", 2, "f2", "rg16f", "rays; their mean square luminance over squared mean"),
                 ("reflection_coat_history", 4, "f4", "rgba32f", "the same of the clearcoat"),
                 ("reflection_coat_moments", 2, "f2", "rg16f", ""),
-                ("visibility_history", 4, "f2", "rgba16f", "the same of lights, a layer a light"),
+                ("visibility_history", 4, "f4", "rgba32f", "the same of lights, a layer a light"),
                 ("visibility_moments", 2, "f2", "rg16f", ""),
             )
         ),

@@ -308,7 +308,7 @@ class Staged:
         self._capture: Capture | None = None
         filtered = features.denoise or features.denoise_shadows
         self.denoise = Denoise(shaders, upload, features, settings) if filtered else None
-        self._stochastic = features.glossy or features.light_discs
+        self._stochastic = features.glossy or features.light_discs or features.occlusion
         self._number, self._looks = 0, 0  # frames since the history began, looks since the last one
         reference = settings.reflections == "reference" and not empty  # without a tree there is only the background
         self.reference = Reference(context, shaders, upload, features) if reference else None

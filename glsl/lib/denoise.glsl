@@ -11,7 +11,7 @@ const bool IS_VISIBILITY = USE_DENOISE_SIGNAL == SIGNAL_VISIBILITY;
 #if USE_DENOISE_SIGNAL == 3
 #define SIGNAL_SAMPLER sampler2DArray
 #define SIGNAL_IMAGE image2DArray
-#define SIGNAL_FORMAT rgba16f
+#define SIGNAL_FORMAT rgba32f
 #define AT(px) ivec3(px, layer)
 uniform int layer;           // of the light
 #else

@@ -24,7 +24,7 @@ uniform float history_frames, samples;
 const int REACH = 2;                     // pixels about this one that are asked what is likely
 
 // This frame's samples about the pixel. All of luminance; variance: of one sample, within pixels if these hold several.
-struct Near { float mean, spread, variance, extent, weight; };
+struct Near { float mean, spread, variance, extent, distance, weight; };
 
 bool has_signal(vec4 s) { return IS_VISIBILITY ? s.a >= 0.0 : s.a > 0.0; }
 
@@ -47,7 +47,7 @@ float length_of(vec4 s, Guide g) {
 }
 
 Near look_around(ivec2 px, Guide g) {
-    float sum = 0.0, square_of_means = 0.0, squares = 0.0, within = 0.0, nearness = 0.0, weight = 0.0, known = 0.0, counts = 0.0;
+    float sum = 0.0, square_of_means = 0.0, squares = 0.0, within = 0.0, nearness = 0.0, weight = 0.0, known = 0.0, counts = 0.0, inverse = 0.0;
     for (int y = -REACH; y <= REACH; y++)
         for (int x = -REACH; x <= REACH; x++) {
             ivec2 q = px + ivec2(x, y);
@@ -64,6 +64,7 @@ Near look_around(ivec2 px, Guide g) {
             squares += w * n.x * m * m;
             if (n.y > 1.0) { within += w * max(n.x - 1.0, 0.0) * m * m * n.y / (n.y - 1.0); counts += w; }
             weight += w;
+            inverse += w / max(s.a, 1e-30);
             float len = length_of(s, g);
             if (len > 0.0) { nearness += w / len; known += w; }
         }
@@ -74,6 +75,7 @@ Near look_around(ivec2 px, Guide g) {
     near.variance = max(squares / weight - square(near.mean), 0.0);
     if (counts > 0.5 * weight && !IS_VISIBILITY) near.variance = within / counts;
     near.extent = nearness > 0.0 ? known / nearness : 0.0;
+    near.distance = min(weight / max(inverse, 1e-30), 1e15);
     return near;
 }
 
@@ -89,10 +91,10 @@ float mirror_share(float roughness, float NoV) {
     return clamp(pow(1.0 - NoV, 10.8649) * (1.0 - a) + a, 0.0, 1.0);
 }
 
-struct Past { vec4 mean; float squares, samples; };
+struct Past { vec4 mean; float squares, samples, frames; };    // frames: how many may count
 
-Past look_back(ivec2 px, Guide g, vec4 s, float len) {
-    Past past = Past(vec4(0.0), 0.0, 0.0);
+Past look_back(ivec2 px, Guide g, Near near) {
+    Past past = Past(vec4(0.0), 0.0, 0.0, history_frames - 1.0);
     if (frame.history == HISTORY_NONE) return past;
     if (frame.history == HISTORY_SAME_VIEW) {
         uvec4 bits = texelFetch(guide_before, px, 0);
@@ -112,13 +114,13 @@ Past look_back(ivec2 px, Guide g, vec4 s, float len) {
     vec2 at = pixel_before(was);
 #if USE_DENOISE_SIGNAL != 3
     vec3 v = frame.orthographic == 1u ? -frame.forward_ws : normalize(frame.eye_ws - g.position);
-    if (s.a < 1e15) at = pixel_before(was - v * (s.a * mirror_share(g.roughness, clamp(dot(g.n, v), 0.0, 1.0))));
-    else {
-        // The sky stands still, as seen from anywhere: what is far along the mirrored ray.
-        float share = mirror_share(g.roughness, clamp(dot(g.n, v), 0.0, 1.0));
-        at = mix(at, pixel_before(was - v * (1e4 * length(frame.eye_ws - g.position))), share);
-    }
+    // The point that a mirror would show, behind the surface; the sky's is so far that it stands still.
+    float share = mirror_share(g.roughness, clamp(dot(g.n, v), 0.0, 1.0));
+    at = pixel_before(was - v * (min(near.distance, 1e4 * max(length(frame.eye_ws - g.position), g.depth)) * share));
 #endif
+    // Only one of the distances that a lobe sees moves like this. Others drift, by up to as much as the image moves on its
+    // surface, and must not drift further than a share of what the lobe blurs.
+    past.frames = min(past.frames, 1.0 + 0.3 * near.extent / (pixel_width(g.depth) * max(distance(at, pixel_before(was)), 1e-3)));
     ivec2 corner = ivec2(floor(at));
     vec2 f = at - floor(at);
     float weight = 0.0;
@@ -138,7 +140,7 @@ Past look_back(ivec2 px, Guide g, vec4 s, float len) {
         past.squares += w * m.y * square(luminance(h.rgb));
         weight += w;
     }
-    if (weight < 0.01) return Past(vec4(0.0), 0.0, 0.0);
+    if (weight < 0.01) return Past(vec4(0.0), 0.0, 0.0, 0.0);
     past.mean /= weight;
     past.samples /= weight;
     past.squares /= weight;
@@ -174,9 +176,9 @@ void main() {
     if (n.y > 0.0) {
         Guide g = unpack_guide(bits, vec2(px));
         Near near = look_around(px, g);
-        Past past = look_back(px, g, s, near.extent);
+        Past past = look_back(px, g, near);
         if (past.samples > 0.0) hold(past, near, n.y);
-        past.samples = min(past.samples, (history_frames - 1.0) * n.y);
+        past.samples = min(past.samples, past.frames * n.y);
         float count = past.samples + n.y, now = n.y / count;
         mean.rgb = mix(past.mean.rgb, s.rgb, now);
         mean.a = past.samples > 0.0 && past.mean.a > 0.0 && near.extent > 0.0 ? mix(past.mean.a, near.extent, now) : max(near.extent, past.mean.a);

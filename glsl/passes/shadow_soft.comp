@@ -6,7 +6,7 @@
 #include "lib/terminator.glsl"
 #include "lib/tile.glsl"
 
-layout(rgba16f) uniform image2DArray out_visibility;    // tint, half width of the penumbra
+layout(rgba32f) uniform image2DArray out_visibility;    // tint, half width of the penumbra
 uniform int rays, ray_first, ray_end;                   // a light; those of this dispatch
 
 const uint SHADOW_SEQUENCE = 0x5AD0u;
@@ -30,7 +30,7 @@ vec4 disc_rays_from(Point from, Surface s, LightSample l, uint light, ivec2 px, 
             blocked += 1.0;
         }
     }
-    return vec4(weights > 0.0 ? sum / weights : vec3(0.0), blocked > 0.0 ? min(width / blocked, 6e4) : 0.0);
+    return vec4(weights > 0.0 ? sum / weights : vec3(0.0), blocked > 0.0 ? min(width / blocked, 1e15) : 0.0);
 }
 
 void main() {

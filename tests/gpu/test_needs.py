@@ -183,3 +183,38 @@ def test_features_that_differ_in_nothing_a_pass_reads_share_its_program(renderer
     Ran(renderer, scene(Material(double_sided=True, roughness=0.1, clearcoat=1.0)), primary="raster")
     Ran(renderer, scene(sky=None), primary="raster")
     assert [p for p in renderer.shaders.names if p.startswith("gbuffer")] == before
+
+
+def glossy(**parameters: Any) -> dict[str, Any]:
+    named = {k if "." in k else f"reflections.ray-glossy.{k}": v for k, v in parameters.items()}
+    return {"reflections": "ray-glossy", "parameters": named}
+
+
+def test_no_noise_no_filter(renderer: gh.Renderer) -> None:
+    """A filter runs, and has images, only where a technique is noisy: not for hard shadows, mirrors, or when it is off."""
+    rough, mirror = Material(double_sided=True, roughness=0.4), Material(double_sided=True, roughness=0.0)
+    wide = (replace(SUN[0], angular_diameter=0.1),)
+
+    def filtered(ran: Ran) -> bool:
+        parts = {
+            "denoise" in ran.dispatched, "denoise" in ran.plan["passes"], any(p.startswith("denoise") for p in ran.programs),
+            any("history" in i or "denoise" in i or "guide" in i for i in ran.images),
+        }  # fmt: skip
+        assert len(parts) == 1, (ran.dispatched, ran.images)
+        return parts.pop()
+
+    with gh.Renderer(context=renderer.context) as fresh:
+        assert not filtered(Ran(fresh, scene(lights=SUN), shadows="ray-soft"))
+        assert not filtered(Ran(fresh, scene(mirror), **glossy()))
+        assert not filtered(Ran(fresh, scene(rough), **glossy(denoise=False)))
+        assert not filtered(Ran(fresh, scene(rough), **glossy(cutoff=0.3)))
+        assert not filtered(
+            Ran(fresh, scene(lights=wide), shadows="ray-soft", parameters={"shadows.ray-soft.denoise": False})
+        )
+    soft = Ran(renderer, scene(lights=wide), shadows="ray-soft")
+    assert filtered(soft) and not any("reflection" in i for i in soft.images)
+    both = Ran(renderer, scene(rough, lights=wide), shadows="ray-soft", **glossy())
+    assert filtered(both) and {"reflection_history_odd", "visibility_history_odd"} <= both.images
+    assert not any("coat" in i for i in both.images) and "denoise_moved" not in both.images
+    coated = Ran(renderer, scene(replace(rough, clearcoat=1.0)), **glossy())
+    assert {"reflection_coat", "reflection_coat_history_odd"} <= coated.images

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from glhybrid.renderer import Renderer
 
 SIZE = (80, 60)
-RAW: dict = {}
+RAW = {"denoise": False}
 
 
 def coated() -> Material:

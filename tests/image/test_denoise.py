@@ -1,0 +1,220 @@
+"""The filter of `ray-glossy` and `ray-soft`: what it takes away, what it leaves alone, and how fast it forgets."""
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from glossy_scenes import SIZE, draw, metal_floor
+from scene_kit import box, constant_sky, floor, matte, metal, scene, sun
+
+from glhybrid.scene import Camera, Light, Scene, Sphere
+from glhybrid.settings import Settings
+from glhybrid.timing import Timing
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from glhybrid.renderer import Renderer
+
+    F64 = NDArray[np.float64]
+
+RAW = {"denoise": False}
+
+
+def rmse(got: Any, want: Any) -> float:
+    return float(np.sqrt(((np.asarray(got, np.float64) - want) ** 2).mean()))
+
+
+def glossy(samples: int = 4, **parameters: Any) -> Settings:
+    given = {"samples": samples} | parameters
+    return Settings(
+        reflections="ray-glossy", aa=1, parameters={f"reflections.ray-glossy.{k}": v for k, v in given.items()}
+    )
+
+
+def movie(renderer: "Renderer", frames: "list[tuple[Scene, Camera]]", settings: Settings) -> "list[F64]":
+    """Radiance of frames in a row, each following the one before; the first follows none."""
+    made = []
+    for i, (world, camera) in enumerate(frames):
+        staged = renderer.stage(world, settings, SIZE)
+        if i == 0:
+            staged.cut()
+        staged.aim(settings, camera)
+        staged.set(jitter_px=(0, 0), accumulate=0)
+        image = staged.frame(Timing(renderer.context.gl.finish, enabled=False))
+        rows = np.frombuffer(image.read(), np.float32).reshape(image.height, image.width, 4)
+        made.append(rows[::-1, :, :3].astype(np.float64))
+    return made
+
+
+@pytest.fixture(scope="module")
+def truth() -> "dict[float, F64]":
+    return {}
+
+
+def converged(renderer: "Renderer", truth: "dict[float, F64]", roughness: float) -> "F64":
+    if roughness not in truth:
+        frame = draw(renderer, metal_floor(roughness), 512, seed=9, parameters=RAW)
+        truth[roughness] = frame["radiance"].astype(np.float64)
+    return truth[roughness]
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+def test_error_and_bias(renderer: "Renderer", truth: "dict[float, F64]", samples: int) -> None:
+    """A quarter rough, one frame: the bars of 16 rays without a filter and random numbers (bias 1 %, RMSE 0.038)."""
+    want = converged(renderer, truth, 0.25)
+    raw = draw(renderer, metal_floor(0.25), samples, parameters=RAW)["radiance"]
+    got = draw(renderer, metal_floor(0.25), samples)["radiance"].astype(np.float64)
+    assert abs(got.mean() / want.mean() - 1) < 0.01
+    assert rmse(got, want) < {1: 0.038, 4: 0.019}[samples] and rmse(got, want) < 0.35 * rmse(raw, want)
+    flip = pytest.importorskip("flip_evaluator")
+    seen = flip.evaluate(want.astype(np.float32), got.astype(np.float32), "HDR")[1]
+    assert seen < {1: 0.042, 4: 0.028}[samples], seen  # 16 random rays leave 0.030 here
+
+
+@pytest.mark.parametrize(("roughness", "bar"), [(0.1, 0.03), (0.5, 0.02), (0.8, 0.02)])
+def test_other_roughness(renderer: "Renderer", truth: "dict[float, F64]", roughness: float, bar: float) -> None:
+    """At each, the filter leaves less than it found, and hardly a bias."""
+    want = converged(renderer, truth, roughness)
+    raw = draw(renderer, metal_floor(roughness), 16, parameters=RAW)["radiance"]
+    got = draw(renderer, metal_floor(roughness), 16)["radiance"].astype(np.float64)
+    assert rmse(got, want) < min(0.8 * rmse(raw, want), bar)
+    assert abs(got.mean() / want.mean() - 1) < 0.005
+
+
+@pytest.mark.parametrize("roughness", [0.1, 0.4])
+def test_what_has_converged_stays(renderer: "Renderer", roughness: float) -> None:
+    """512 rays: the filter changes the picture by less than the little noise that is left would allow."""
+    raw = draw(renderer, metal_floor(roughness), 512, parameters=RAW)["radiance"]
+    got = draw(renderer, metal_floor(roughness), 512)["radiance"]
+    assert rmse(got, raw) < 0.008 and abs(got.mean() / raw.mean() - 1) < 2e-3
+
+
+def test_mirrors_and_what_sends_no_ray_are_untouched(renderer: "Renderer") -> None:
+    """Exact mirrors beside rough metal: bit for bit what they are without a filter."""
+    parts = [(floor(4.0), metal(0.9, 0.4)), (Sphere(0.6), metal((0.9, 0.6, 0.3), 0.0), (0, 0.6, 0))]
+    world = scene(parts, environment=metal_floor(0.0).environment)
+    raw = draw(renderer, world, 2, "reflection", "instance_id", parameters=RAW)
+    got = draw(renderer, world, 2, "reflection")
+    ball = raw["instance_id"] == 1
+    assert np.array_equal(raw["reflection"][ball], got["reflection"][ball]) and ball.mean() > 0.05
+    assert not np.array_equal(raw["reflection"][~ball], got["reflection"][~ball])
+
+
+def test_a_still_camera_gathers(renderer: "Renderer", truth: "dict[float, F64]") -> None:
+    """Error over frames falls, and nothing boils: temporal deviation under 1 % of the mean."""
+    world, want = metal_floor(0.25), converged(renderer, truth, 0.25)
+    frames = movie(renderer, [(world, world.cameras[0])] * 32, glossy(1))
+    errors = [rmse(frames[k], want) for k in (0, 7, 31)]
+    assert errors[1] < 0.65 * errors[0] and errors[2] < 0.45 * errors[0], errors
+    assert np.std(frames[16:], axis=0).mean() / np.mean(frames[16:]) < 0.01
+
+
+def test_no_flicker_in_a_pan(renderer: "Renderer") -> None:
+    """Whole pixels, parallel rays: the same points again, whose radiance may not change by more than 1 % of the mean."""
+    world = metal_floor(0.25)
+    base, half = Camera.look_at((2.0, 2.2, 3.0), (0, 0.3, 0)).world_from_view, 1.5
+    cameras = []
+    for k in range(16):
+        pose = base.copy()
+        pose[:3, 3] += k * 2 * half / SIZE[1] * base[:3, 0]
+        cameras.append(Camera(f"pan {k}", pose, fov_y=0, ymag=half))
+    frames = movie(renderer, [(world, c) for c in cameras], glossy(2))
+    flicker = [np.abs(b[:, :-1] - a[:, 1:]).mean() for a, b in pairwise(frames[8:])]
+    assert np.mean(flicker) / np.mean(frames) < 0.01
+    # History pays: the last frame is nearer to the truth than one made alone.
+    want = movie(renderer, [(world, cameras[-1])], glossy(512, denoise=False))[0]
+    alone = movie(renderer, [(world, cameras[-1])], glossy(2))[0]
+    assert rmse(frames[-1], want) < 0.8 * rmse(alone, want)
+
+
+def test_a_moving_camera_does_not_smear(renderer: "Renderer") -> None:
+    """About the scene, fast: history may not make a frame much worse than it is alone."""
+    world = metal_floor(0.25)
+    cameras = [Camera.look_at((0.4 + 0.08 * k, 1.5, 3.4), (0, 0.25, 0), fov_y=np.radians(44)) for k in range(12)]
+    frames = movie(renderer, [(world, c) for c in cameras], glossy(4))
+    want = movie(renderer, [(world, cameras[-1])], glossy(512, denoise=False))[0]
+    alone = movie(renderer, [(world, cameras[-1])], glossy(4))[0]
+    assert rmse(frames[-1], want) < max(1.5 * rmse(alone, want), 0.022)
+
+
+def test_a_lamp_that_goes_out_is_gone(renderer: "Renderer") -> None:
+    """What the floor shows of lit things: a fifth is left after a frame at most, a hundredth after eight."""
+    parts = [
+        (floor(4.0), metal((0.95, 0.93, 0.9), 0.25)), (box((-1.4, 0, -0.8), (-0.4, 1.3, 0.2)), matte((0.8, 0.3, 0.2))),
+        (Sphere(0.5), matte((0.3, 0.5, 0.9)), (1.0, 0.5, -0.1)),
+    ]  # fmt: skip
+    camera = Camera.look_at((0.4, 1.5, 3.4), (0, 0.25, 0), fov_y=np.radians(44))
+    on = scene(parts, camera, lights=[sun((-0.5, -1, -0.8))], environment=constant_sky((0.2, 0.2, 0.25)))
+    off = on.replace(lights=(replace(on.lights[0], intensity=1e-4),))
+    lit, dark = (draw(renderer, w, 64, "instance_id", parameters=RAW) for w in (on, off))
+    change = (lit["radiance"] - dark["radiance"]).sum(-1)
+    seen = (lit["instance_id"] == 0) & (change > 0.3 * change[lit["instance_id"] == 0].max())
+    assert seen.sum() > 200
+    frames = movie(renderer, [(on, camera)] * 12 + [(off, camera)] * 10, glossy(4))
+    left = [float((f - dark["radiance"]).sum(-1)[seen].mean() / change[seen].mean()) for f in frames]
+    assert left[11] > 0.95 and left[12] < 0.2 and left[20] < 0.012, left[11:]
+
+
+def test_pictures_do_not_depend_on_those_before(renderer: "Renderer") -> None:
+    """Frames of a picture share what they gather; pictures do not."""
+    world, other = metal_floor(0.3), metal_floor(0.31)
+    first = draw(renderer, world, 2, aa=4)["radiance"]
+    draw(renderer, other, 2, aa=4)
+    draw(renderer, world, 2, aa=4)
+    assert np.array_equal(first, draw(renderer, world, 2, aa=4)["radiance"])
+
+
+def soft(samples: int, **parameters: Any) -> Settings:
+    given = {"samples": samples} | parameters
+    return Settings(
+        shadows="ray-soft", reflections="none", aa=1, parameters={f"shadows.ray-soft.{k}": v for k, v in given.items()}
+    )
+
+
+def shaded() -> Scene:
+    lights = [
+        replace(sun((-0.6, -1.0, -0.4)), angular_diameter=0.12),
+        Light("point", (1.0, 0.7, 0.4), 5.0, position=(1.5, 2.0, -1.0), radius=0.35),
+    ]
+    parts = [
+        (floor(4.0), matte(0.8)), (box((-0.1, 0, -0.1), (0.1, 1.2, 0.1)), matte(0.5)),
+        (Sphere(0.3), matte(0.6), (0.7, 0.5, 0.4)), (box((-1.2, 0, -0.4), (-0.7, 0.5, 0.1)), matte((0.6, 0.4, 0.3))),
+    ]  # fmt: skip
+    return scene(parts, Camera.look_at((2.0, 2.2, 3.0), (0, 0.3, 0), fov_y=np.radians(45)), lights=lights)
+
+
+def test_penumbras(renderer: "Renderer") -> None:
+    """In penumbras the error falls, on average nothing is added; away from them nothing changes at all."""
+    world = shaded()
+
+    def seen(settings: Settings) -> "F64":
+        return renderer.render(world, size=SIZE, settings=settings, aovs=("visibility",))["visibility"].astype(float)
+
+    want = seen(soft(256, denoise=False))
+    partly = (want > 0.01) & (want < 0.99)
+    assert 0.01 < partly.mean() < 0.5
+    for samples, left in ((1, 0.35), (4, 0.35), (16, 0.6)):
+        raw, got = seen(soft(samples, denoise=False)), seen(soft(samples))
+        assert rmse(got[partly], want[partly]) < left * rmse(raw[partly], want[partly])
+        assert abs((got - want)[partly].mean()) < 0.012
+        assert abs((got - want)[~partly]).mean() < 0.002
+        assert got.min() >= 0 and got.max() <= 1 + 1e-6
+
+
+def test_contacts_stay_sharp(renderer: "Renderer") -> None:
+    """Where the box stands on the floor the shadow's border is as narrow as it is without a filter."""
+    from glhybrid.study.metrics import penumbra_width
+
+    wall = box((-3, 0, -0.1), (3, 1.0, 0.0))
+    light = replace(sun((0.0, -1.0, 1.0)), angular_diameter=0.3)
+    camera = replace(Camera.look_at((0, 6, 1.0), (0, 0, 1.0), (0, 0, -1)), fov_y=0.0, ymag=0.6)
+    world = scene([(floor(6.0), matte(1.0)), (wall, matte(0.5))], camera, lights=[light])
+    widths = []
+    for settings in (soft(64, denoise=False), soft(4)):
+        frame = renderer.render(world, size=SIZE, settings=settings, aovs=("visibility", "position"))
+        seen, z = frame["visibility"][..., 0].mean(1), frame["position"][..., 2].mean(1)
+        widths.append(penumbra_width(z, seen))
+    assert widths[1] == pytest.approx(widths[0], rel=0.1), widths
