@@ -21,7 +21,9 @@ DOWN = replace(Camera.look_at((0, 6, 0), (0, 0, 0), (0, 0, -1)), fov_y=0.0, ymag
 
 
 def draw(renderer: "Renderer", world: Scene, samples: int = 16, *aovs: str, **settings: Any) -> "Frame":
-    parameters = {"shadows.ray-soft.samples": samples} | settings.pop("parameters", {})
+    parameters = {"shadows.ray-soft.samples": samples, "shadows.ray-soft.denoise": False} | settings.pop(
+        "parameters", {}
+    )
     chosen = Settings(**({"aa": 1, "shadows": "ray-soft", "parameters": parameters} | settings))
     return renderer.render(world, size=SIZE, settings=chosen, aovs=("visibility", *aovs))
 
