@@ -214,6 +214,8 @@ def _walk(  # type: ignore[no-untyped-def]
                         near, far = max(near, min(a, b)), min(far, max(a, b))
                     entry[side] = near if near <= far else np.inf
                 closer = np.int64(entry[1] < entry[0])
+                if any_hit and max(entry[0], entry[1]) < np.inf:
+                    closer = 1 - closer
                 if entry[1 - closer] < np.inf:
                     stack[size] = nodes[current, (1 - closer) * 4 + 3]
                     size += 1

@@ -161,9 +161,11 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
             for (int i = 0; i < BVH_INNER_STEPS && (cur & LEAF) == 0u; i++) {
                 uvec4 a = texelFetch(nodes, int(cur) * 2), b = texelFetch(nodes, int(cur) * 2 + 1);
                 float ta = box_entry(a.xyz, local, ray.t_min, t_max), tb = box_entry(b.xyz, local, ray.t_min, t_max);
-                bool a_first = ta <= tb;
-                // "< INFINITY" also sends a NaN away. Far child on the stack, near child next; none: the stack's top.
-                if (max(ta, tb) < INFINITY) stack[++sp] = a_first ? b.w : a.w;
+                // "< INFINITY" also sends a NaN away. One child on the stack, the other next; none: the stack's top. The near
+                // one is next for the closest hit. For any hit the far one: what is near is the neighbourhood that the ray
+                // leaves, and seldom blocks it; up to a third fewer steps.
+                bool both = max(ta, tb) < INFINITY, a_first = (ta <= tb) != (both && !closest);
+                if (both) stack[++sp] = a_first ? b.w : a.w;
                 if (min(ta, tb) < INFINITY) cur = a_first ? a.w : b.w;
                 else cur = stack[sp--];
 #if USE_STEP_COUNTER
