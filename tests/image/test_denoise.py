@@ -14,6 +14,8 @@ from glhybrid.settings import Settings
 from glhybrid.timing import Timing
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from numpy.typing import NDArray
 
     from glhybrid.renderer import Renderer
@@ -218,3 +220,29 @@ def test_contacts_stay_sharp(renderer: "Renderer") -> None:
         seen, z = frame["visibility"][..., 0].mean(1), frame["position"][..., 2].mean(1)
         widths.append(penumbra_width(z, seen))
     assert widths[1] == pytest.approx(widths[0], rel=0.1), widths
+
+
+def test_things_that_move_are_followed(renderer: "Renderer", models: "Path") -> None:
+    """Skins and rigid parts in motion, a still camera: frames in a row are whole, and near those made alone."""
+    import glhybrid
+
+    for name in ("BoxAnimated", "CesiumMan"):
+        path = next(models.rglob(f"{name}.gl*"), None)
+        if path is None:
+            pytest.skip(f"no {name} among the models")
+        world = glhybrid.load(path)
+        world = world.replace(
+            lights=(replace(sun((-0.5, -1, -0.3)), angular_diameter=0.1),),
+            materials=tuple(replace(m, roughness=0.3, metallic=0.5) for m in world.materials),
+        )
+        settings = glossy(4).replace(shadows="ray-soft", time=0.5)
+        staged = renderer.stage(world, settings, SIZE)
+        staged.cut()
+        for time in (0.3, 0.35, 0.4, 0.45, 0.5):
+            staged.aim(settings.replace(time=time), None)
+            staged.set(jitter_px=(0, 0), accumulate=0)
+            image = staged.frame(Timing(renderer.context.gl.finish, enabled=False))
+        assert staged.features.moving
+        got = np.frombuffer(image.read(), np.float32).reshape(SIZE[1], SIZE[0], 4)[::-1, :, :3]
+        alone = renderer.render(world, size=SIZE, settings=settings)["radiance"]
+        assert np.isfinite(got).all() and rmse(got, alone) < 0.2 * alone.std(), name
