@@ -84,6 +84,7 @@ class Viewer:
         working = self.pictures.busy or self._dirty > 0 or self.controls.flying or self.session.transport.playing
         events = self.surface.poll(0.0 if working and self.surface.visible else IDLE_S)
         taken = clock.perf_counter()
+        self.controls.size = self.picture_size
         for event in events:
             self._take(event)
         seconds = min(taken - self._frame_at, 0.25)
@@ -139,7 +140,6 @@ class Viewer:
         else:
             self.gui.feed([event])
             over_panel = self.controls.pointer[0] >= self.picture_size[0]
-            self.controls.size = self.picture_size
             free = not over_panel and not self.gui.wants_pointer
             self.controls.feed(event, free, not self.gui.wants_keys)
 

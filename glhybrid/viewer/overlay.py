@@ -92,7 +92,7 @@ class Overlay:
         else:
             ms = sum(picture.medians().values())
             text = f"{picture.done} of {picture.total} samples" if picture.total else "..."
-            lines.append((text + (f", {ms:.1f} ms each" if ms else ""), DIM))
+            lines.append((text + (f", {_time(ms)} each" if ms else ""), DIM))
         if error := pictures.measure.errors.get(side):
             flip = f"FLIP {error.flip:.3f}   " if error.flip is not None else ""
             lines.append((f"{flip}{error.psnr:.1f} dB   relMSE {error.rel_mse:.2g}", ACCENT))
@@ -196,3 +196,7 @@ class Overlay:
             imgui.end_table()
         imgui.end()
         self._session.help = bool(open_)
+
+
+def _time(ms: float) -> str:
+    return f"{ms:.1f} ms" if ms < 1000 else f"{ms / 1000:.2f} s"

@@ -51,8 +51,8 @@ class Panels:
         for title, draw, open_ in (
             ("Techniques", self._techniques, True),
             ("View", self._view, True),
-            ("Passes", self._passes, True),
             ("Picked", self._picked, True),
+            ("Passes", self._passes, True),
             ("Display", self._display, False),
             ("Light", self._light, False),
             ("Camera", self._camera, False),
@@ -84,12 +84,12 @@ class Panels:
         device, scene = self._pictures.renderer.context.device, session.scene
         imgui.text(scene.name)
         imgui.same_line()
-        imgui.text_disabled(f"{scene.triangle_count():,} triangles, {len(scene.lights)} lights")
+        imgui.text_disabled(f"{scene.triangle_count():,} triangles, {_count(len(scene.lights), 'light')}")
         imgui.push_style_color(imgui.Col_.text, imgui.get_style_color_vec4(imgui.Col_.text_disabled))
         name = device.renderer.partition(" (")[0] + (", software" if device.software else "")
         imgui.text_wrapped(f"{name}, {self._pictures.size[0]} x {self._pictures.size[1]}")
         imgui.pop_style_color()
-        if scene.warnings and imgui.tree_node(f"{len(scene.warnings)} notes on loading"):
+        if scene.warnings and imgui.tree_node(f"{_count(len(scene.warnings), 'note')} on loading"):
             for warning in scene.warnings[:20]:
                 imgui.text_wrapped(warning)
             imgui.tree_pop()
@@ -116,7 +116,7 @@ class Panels:
         if self._pictures.measured:
             imgui.same_line()
             imgui.progress_bar(picture.share, (-1, 0), f"{picture.done} of {picture.total} paths")
-            self._count("samples", "paths", 1, 4096)
+            self._slider("samples", "paths", 1, 4096)
         if session.mode in ("difference", "flip"):
             imgui.text("Against")
             for key, label in (("reference", "reference"), ("b", "B")):
@@ -183,7 +183,7 @@ class Panels:
         flags = self._gui.imgui.SliderFlags_
         return flags.logarithmic if high - low > 50 else 0
 
-    def _count(self, name: str, label: str, low: int, high: int) -> None:
+    def _slider(self, name: str, label: str, low: int, high: int) -> None:
         imgui, session = self._gui.imgui, self._session
         value = int(getattr(session.a, name))
         changed, new = imgui.slider_int(label, value, low, high, "%d", imgui.SliderFlags_.logarithmic)
@@ -397,3 +397,7 @@ class Panels:
         imgui.same_line()
         transport.loop = imgui.checkbox("loop", transport.loop)[1]
         imgui.end()
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number:,} {what}{'' if number == 1 else 's'}"

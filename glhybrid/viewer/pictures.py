@@ -94,16 +94,19 @@ class Pictures:
         return self._stuck is None and (self._moving or self._next() is not None or self.measure.busy)
 
     def update(self, size: tuple[int, int]) -> bool:
-        """Draws for a slice of time; whether anything to show has changed."""
+        """Draws for a slice of time; whether anything to show has changed.
+
+        Whatever asks for another picture of a side is motion, be it a camera or a technique: it is answered small.
+        """
         session, now = self.session, clock.monotonic()
-        key = session.moves, session.transport.time
-        if self._stuck == (key, session.a, session.b, id(session.scene)):
+        self.size = size
+        key = tuple(self._what(self._as(side)) for side in self.shown())
+        if self._stuck == key:
             return False  # nothing has changed since nothing could be drawn
         if self._drawn != key:
             self._drawn, self._moved_at, self._moving = key, now, True
         elif self._moving and now - self._moved_at > REST_S and not session.transport.playing:
             self._moving = False
-        self.size = size
         self.scale = self.budget.next() if self._moving else 1.0
         try:
             changed = self._draw(now)
@@ -114,22 +117,22 @@ class Pictures:
             self._recover(error)
             return True
 
-    def _draw(self, now: float) -> bool:
+    def _what(self, side: Side) -> tuple[Any, ...]:
+        """All that a side's picture depends on, but for how large it is drawn."""
         session = self.session
+        plain, aovs = _plain(session.settings(side)), (session.show,) if session.show in STAGED_AOVS else ()
+        return session.lit_scene(), plain, session.moves, session.transport.time, self.size, aovs
+
+    def _draw(self, now: float) -> bool:
+        session, changed = self.session, False
         pixels = scaled(self.size, self.scale)
-        wanted = self.wanted()
-        aovs = (session.show,) if session.show in STAGED_AOVS else ()
-        changed = False
-        for side in wanted:
-            settings = session.settings(side)
-            plain = _plain(settings)
-            begun = (session.lit_scene(), plain, session.moves, session.transport.time, pixels, aovs)
-            if self._begun.get(side) != begun and (side != "reference" or not self._moving):
-                if self._begun.get(side, (None, None))[1] != plain and side in self.shown():
-                    self.budget.forget()
-                self._begun[side] = begun
-                camera = session.camera()
-                self.sides[side].begin(session.lit_scene(), settings, camera, pixels, aovs)
+        for side in self.wanted():
+            settings, what = session.settings(side), self._what(side)
+            old, drawn_at = self._begun.get(side, (None, None))
+            due = old != what or (not self._moving and drawn_at != self.size)
+            if due and not (side == "reference" and self._moving):
+                self._begun[side] = what, pixels
+                self.sides[side].begin(what[0], settings, session.camera(), pixels, what[-1])
                 for measured in SIDES if side == "reference" else (side,):
                     self.measure.forget(measured)
             self.sides[side].redisplay(settings)
@@ -276,7 +279,7 @@ class Pictures:
             for side in self.sides.values():
                 side.drop()
             session.show = PICTURE
-            self._stuck = self._drawn, session.a, session.b, id(session.scene)
+            self._stuck = self._drawn
         session.a, session.b = self._good["a"], self._good["b"]
         self._begun.clear()
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import glhybrid
-from glhybrid import Renderer, Settings, cli
+from glhybrid import Renderer, Settings, cli, relight
 from glhybrid.context import Context
 from glhybrid.viewer.app import Viewer
 from glhybrid.viewer.events import LEFT, MIDDLE, RIGHT, Button, Key, Move, Wheel
@@ -49,8 +49,9 @@ def rendered(viewer: Viewer, context: Context, command: str) -> np.ndarray:
     def take(scene: str, /, *, output: str, common: cli.Common = COMMON) -> None:
         with Renderer(context=context) as renderer:
             settings = common.settings()
+            loaded = relight.apply(viewer._load(scene), common.light, common.environment_rotation)
             frame = renderer.render(
-                common.load(scene), common.camera_key(), common.pixels(), settings.replace(aa=settings.aa_frames(False))
+                loaded, common.camera_key(), common.pixels(), settings.replace(aa=settings.aa_frames(False))
             )
         found["rgb"] = frame.rgb
 
@@ -79,7 +80,7 @@ def test_a_finished_picture_is_what_render_makes(open_viewer: Open, context: Con
     assert np.array_equal(shown(viewer)[-8:], want[-8:])
 
 
-@pytest.mark.parametrize("scene", ["cornell", "showroom"])
+@pytest.mark.parametrize("scene", ["cornell", "yard"])
 def test_the_copied_command_makes_the_same_picture(open_viewer: Open, context: Context, scene: str) -> None:
     viewer = open_viewer(scene)
     viewer.settle()
@@ -111,7 +112,7 @@ def test_reference_and_animation_are_renders_too(open_viewer: Open, context: Con
 
 
 def test_motion_is_answered_small_and_rest_in_full(open_viewer: Open) -> None:
-    viewer = open_viewer("showroom", size=(320, 200))
+    viewer = open_viewer("yard", size=(320, 200))
     viewer.settle()
     viewer.pictures.budget.target_ms = viewer.pictures.sides["a"].last_ms / 4
     drag(viewer, LEFT, (100, 100), (140, 90))
@@ -183,12 +184,12 @@ def test_a_drag_of_the_divider_moves_it_and_not_the_camera(open_viewer: Open) ->
 
 
 def test_picking_reads_the_aovs_of_that_pixel(open_viewer: Open, context: Context) -> None:
-    viewer = open_viewer("showroom", size=(160, 100))
+    viewer = open_viewer("yard", size=(160, 100))
     viewer.settle()
     names = ("instance_id", "material_id", "triangle_id", "position", "normal", "distance", "depth", "bvh_steps")
     with Renderer(context=context) as renderer:
         frame = renderer.render(viewer.session.scene, size=(160, 100), aovs=names)
-    for x, y in ((80, 50), (30, 70), (120, 88), (10, 60), (5, 5)):
+    for x, y in ((80, 60), (55, 60), (100, 50), (120, 88), (10, 80)):
         picked = viewer.pick((x, y))
         assert picked.instance == frame["instance_id"][y, x] and picked.material == frame["material_id"][y, x]
         assert picked.triangle == frame["triangle_id"][y, x]
@@ -196,6 +197,7 @@ def test_picking_reads_the_aovs_of_that_pixel(open_viewer: Open, context: Contex
         assert np.allclose(picked.normal, frame["normal"][y, x], atol=2e-3)  # normal maps: the footprint is the same
         assert picked.distance == pytest.approx(frame["distance"][y, x], rel=1e-4)
         assert picked.depth == pytest.approx(frame["depth"][y, x], rel=1e-4)
+        assert viewer.pick((5, 5)).instance == -1  # the sky
         assert picked.steps == pytest.approx(int(frame["bvh_steps"][y, x]), abs=3)
     before = plain(viewer)
     viewer.settle()
