@@ -2,6 +2,7 @@
 # make test    sets up, then lint, types and tests
 # make sheet   draws every model under MODELS (../shared/models) in one picture, out/sheet.png
 # make failures  runs the failure library: figures, and pictures in one, out/failures.png
+# make viewer-pictures  takes the README's pictures of the viewer
 # make setup   leaves a ready .venv in the checkout; quick when that is done already
 #
 # PYTHON=python3.12 chooses the interpreter (>= 3.11).
@@ -12,7 +13,7 @@ DEMO := out/atrium.png
 
 MODELS ?= ../shared/models
 
-.PHONY: help setup setup-dev demo test sheet failures clean
+.PHONY: help setup setup-dev demo test sheet failures viewer-pictures clean
 
 help:
 	@sed -n 's/^# \(make .*\)/\1/p' Makefile
@@ -41,6 +42,12 @@ sheet: setup
 failures: setup
 	@mkdir -p out
 	$(BIN)/python tests/failure_sheet.py -o out/failures.png
+
+viewer-pictures: setup-dev
+	$(BIN)/glhybrid view showroom --size 900x620 --mode split --against shadows=pcf,reflections=ssr --aa 2 \
+		--pick 330,560 --screenshot scenes/pictures/viewer-split.png
+	$(BIN)/glhybrid view showroom --size 900x620 --show reason --reflections ssr --pick 300,250 \
+		--screenshot scenes/pictures/viewer-reason.png
 
 clean:
 	rm -rf out build dist .pytest_cache .ruff_cache .mypy_cache

@@ -27,6 +27,7 @@ from glhybrid.viewer.watch import PERIOD_S, Watch
 
 log = logging.getLogger("glhybrid")
 IDLE_S = 0.1  # between two looks at the input while nothing is to be drawn
+WAIT_S = 0.02  # while another process measures, or what moved may move again
 SETTLE_FRAMES = 3  # ImGui needs a few after input until all widgets have their place
 
 
@@ -81,8 +82,9 @@ class Viewer:
 
     def tick(self) -> bool:
         """One turn; whether a frame was presented."""
-        working = self.pictures.busy or self._dirty > 0 or self.controls.flying or self.session.transport.playing
-        events = self.surface.poll(0.0 if working and self.surface.visible else IDLE_S)
+        drawing = self.pictures.drawing or self._dirty > 0 or self.controls.flying or self.session.transport.playing
+        waiting = 0.0 if drawing else WAIT_S if self.pictures.busy else IDLE_S
+        events = self.surface.poll(waiting if self.surface.visible else IDLE_S)
         taken = clock.perf_counter()
         self.controls.size = self.picture_size
         for event in events:

@@ -89,8 +89,13 @@ class Pictures:
         return self._moving
 
     @property
+    def drawing(self) -> bool:
+        """Whether update() would draw at once."""
+        return self._stuck is None and not self._moving and self._next() is not None
+
+    @property
     def busy(self) -> bool:
-        """Whether update() would draw something."""
+        """Whether there will be more to show without any input."""
         return self._stuck is None and (self._moving or self._next() is not None or self.measure.busy)
 
     def update(self, size: tuple[int, int]) -> bool:
