@@ -8,6 +8,7 @@ from glhybrid import techniques
 from glhybrid.viewer import camera_control as control
 from glhybrid.viewer.events import LEFT, MIDDLE, RIGHT, Button, Event, Focus, Key, Move, Wheel
 from glhybrid.viewer.session import MODES, Session
+from glhybrid.viewer.views import PICTURE
 
 CLICK_PX, DIVIDER_PX, DOUBLE_S = 4.0, 7.0, 0.35
 TURN = 0.0075  # radians a pixel
@@ -213,7 +214,8 @@ class Controls:
         elif name in ("h", "f1"):
             session.help = not session.help
         elif name == "escape":
-            session.picked, session.help = None, False
+            session.picked, session.help, session.show = None, False, PICTURE
+            session.edited()
         elif action := {"c": "copy", "p": "save", "b": "bookmark", "f5": "reload"}.get(name):
             self.act(action, self.pointer)
 

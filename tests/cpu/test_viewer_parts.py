@@ -333,3 +333,20 @@ def test_a_folder_that_cannot_be_written_is_no_error(tmp_path: Path, monkeypatch
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setenv("GLHYBRID_CONFIG", str(tmp_path / "file" / "sub"))
     store.write({})
+
+
+def test_a_missing_library_is_named_with_what_installs_it() -> None:
+    from glhybrid.errors import DeviceError
+    from glhybrid.viewer import need
+
+    with pytest.raises(DeviceError, match=r"no_such_library.*pip install 'glhybrid\[viewer\]'") as caught:
+        need("no_such_library", "viewer")
+    assert caught.value.exit_code == 3
+
+
+def test_escape_goes_back_to_the_picture() -> None:
+    controls, _ = make_controls()
+    feed(controls, Key("v", True), Key("v", False))
+    assert controls.session.show == "normal"
+    feed(controls, Key("escape", True))
+    assert controls.session.show == "picture"
