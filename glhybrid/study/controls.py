@@ -3,13 +3,14 @@
 Each is what is commonly written, and stands beside the rows of robustness, which would otherwise only ever hold.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from glhybrid import reference
 from glhybrid.errors import SettingError, unknown
-from glhybrid.scene import F64
+from glhybrid.scene import F32, F64, Scene
 from glhybrid.study.oracle import I64, Oracle
 from glhybrid.study.subject import Picture, Subject, grey
 
@@ -115,6 +116,19 @@ class MoellerTrumbore(Subject):
         return instance, nearest.reshape(shape), grey(0.2 + 0.6 * (instance >= 0))
 
 
+class RunningMean(Subject):
+    """Unfiltered frames, each mixed with a tenth into what earlier ones have left, wherever that came from."""
+
+    SHARE = 0.1
+
+    def film(self, times: Sequence[float | None], scene: Scene | None = None) -> list[F32]:
+        raw = {"reflections": "ray-glossy", "reflections.ray-glossy.denoise": False}
+        frames = Subject(self.renderer, self.case, self.settings.replace(**raw)).film(times, scene)
+        for k in range(1, len(frames)):
+            frames[k] = (1 - self.SHARE) * frames[k - 1] + self.SHARE * frames[k]
+        return frames
+
+
 def _enters(corners: F64, origin: F64, direction: F64) -> Any:
     """(R,) whether rays meet the box around some triangles."""
     low, high = corners.min((0, 1)), corners.max((0, 1))
@@ -128,6 +142,7 @@ CONTROLS: dict[str, type[Subject]] = {
     "fixed-epsilon": FixedEpsilon,
     "moeller-trumbore": MoellerTrumbore,
     "naive-slabs": NaiveSlabs,
+    "running-mean": RunningMean,
     "short-stack": ShortStack,
 }
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from glhybrid.errors import SettingError, unknown
 from glhybrid.image import Frame
-from glhybrid.scene import F64, Study
+from glhybrid.scene import F64, Animation, Channel, Node, Scene, Study
 from glhybrid.study import metrics, temporal
-from glhybrid.study.subject import Case, Measured, Subject, grey, marked
+from glhybrid.study.subject import Case, Measured, Subject, developed, grey, marked
 
 
 @dataclass(frozen=True)
@@ -309,17 +309,16 @@ def bias(subject: Subject, samples: int = 64) -> Measured:
     on, want = _rough(subject), subject.reference(samples=samples).mean(-1)
     frame = subject.frame()
     got = frame["radiance"].mean(-1)
-    wrong = on & (np.abs(got - want) > 0.1 * want)
+    wrong = on & (np.abs(got - want) > 0.25 * want)
     return Measured(100 * float(got[on].mean() / want[on].mean() - 1), marked(frame.rgb, wrong))
 
 
 @quantity("of the mean")
-def error(subject: Subject, samples: int = 1024) -> Measured:
-    """Root mean square difference of rough metal from the path tracer's picture, over its mean there."""
+def error(subject: Subject, frames: int = 8, samples: int = 512) -> Measured:
+    """Root mean square difference of rough metal from the path tracer's picture, over its mean; a film's last frame."""
     on, want = _rough(subject), subject.reference(samples=samples)
-    frame = subject.frame()
-    rms = float(np.sqrt(np.square(frame["radiance"] - want)[on].mean()))
-    return Measured(rms / float(want[on].mean()), frame.rgb)
+    got = subject.film([None] * frames)[-1]
+    return Measured(float(np.sqrt(np.square(got - want)[on].mean()) / want[on].mean()), developed(got))
 
 
 @quantity("per million")
@@ -332,6 +331,47 @@ def fireflies(subject: Subject, times: float = 10.0, samples: int = 64) -> Measu
     frame = subject.frame()
     wrong = on & ~(frame["radiance"].mean(-1) <= times * brightest)
     return Measured(1e6 * float(wrong[on].mean()), marked(frame.rgb, wrong))
+
+
+@quantity("of the mean")
+def boiling(subject: Subject, frames: int = 32) -> Measured:
+    """The deviation in time of rough metal that nothing changes, over its mean, in the second half of a film."""
+    film = np.stack(subject.film([None] * frames)[frames // 2 :]).mean(-1)
+    on = _rough(subject)
+    return Measured(float(film.std(0)[on].mean() / film[:, on].mean()), developed(film[-1]))
+
+
+@quantity("frames")
+def ghost(subject: Subject, of: str, before: int = 12, after: int = 36, samples: int = 128) -> Measured:
+    """Frames until at most 5 % is left, on rough metal, of the image of an object that was taken away."""
+    case, on = subject.case, _rough(subject)
+    scene, gone = _vanishing(case.scene, of)
+    there = subject.reference(samples=samples)
+    clean = case.once(("clean", samples), lambda: subject.frame(scene=gone, reflections="reference", samples=samples))
+    change = (there - clean["radiance"]).mean(-1)
+    on = on & (np.abs(change) > 0.1 * clean["radiance"].mean(-1))
+    film = subject.film([0.0] * before + [1.0] * after, scene)
+    left = [((f - clean["radiance"]).mean(-1) * np.sign(change))[on].mean() / np.abs(change)[on].mean() for f in film]
+    life = next((k for k, share in enumerate(left[before:]) if share <= 0.05), after)
+    shown = film[min(before + 4, len(film) - 1)]
+    return Measured(float(life), developed(shown))
+
+
+def _vanishing(scene: Scene, of: str) -> tuple[Scene, Scene]:
+    """The scene with a clip in which the objects of a name are there at 0 s and far away at 1 s; and without them."""
+    nodes, instances, channels = list(scene.nodes), [], []
+    for instance in scene.instances:
+        if instance.name == of:
+            nodes += [Node("place", -1, matrix=instance.world_from_object), Node("object", len(nodes))]
+            instance = replace(instance, node=len(nodes) - 1)
+            away = np.array([[0, 0, 0], [0, -1e4, 0]], np.float32)
+            times = np.array([0, 1], np.float32)
+            channels.append(Channel(len(nodes) - 1, "translation", "STEP", times, away))
+        instances.append(instance)
+    assert channels, f'no object is named "{of}"'
+    clip = Animation("vanish", tuple(channels))
+    gone = scene.replace(instances=tuple(i for i in scene.instances if i.name != of))
+    return scene.replace(nodes=tuple(nodes), instances=tuple(instances), animations=(clip,)), gone
 
 
 @quantity("times the true width")

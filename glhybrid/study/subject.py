@@ -4,7 +4,7 @@ A `Case` is shared by all techniques of a scene, and keeps what they are held ag
 and converged pictures of the path tracer.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -12,11 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from glhybrid import outputs
 from glhybrid.image import NO_ID, Frame
+from glhybrid.readback import at_once
 from glhybrid.renderer import Renderer
-from glhybrid.scene import F64, Camera, Scene, Study
+from glhybrid.scene import F32, F64, Camera, Scene, Study
 from glhybrid.settings import Settings
 from glhybrid.study.oracle import I64, Oracle, Seen
+from glhybrid.timing import Timing
 
 Picture = NDArray[np.uint8]
 WRONG = np.array([255, 0, 90], np.uint8)  # pixels that a measure counts, in pictures
@@ -87,6 +90,19 @@ class Subject:
         ids = frame["instance_id"].astype(np.int64)
         return np.where(ids == NO_ID, -1, ids), frame["distance"].astype(np.float64), frame.rgb
 
+    def film(self, times: Sequence[float | None], scene: Scene | None = None) -> list[F32]:
+        """(H, W, 3) radiance of frames in a row, a clip's seconds each: filters go on from one to the next."""
+        scene, size = scene or self.case.scene, self.case.study.size
+        staged = self.renderer.stage(scene, self.settings.replace(time=times[0]), size)
+        staged.cut()
+        timing = Timing(self.renderer.context.gl.finish, enabled=False)
+        frames = []
+        for time in times:
+            staged.aim(self.settings.replace(time=time), 0)
+            staged.set(jitter_px=(0, 0), accumulate=0)
+            frames.append(at_once(outputs.texels(staged.frame(timing), 0, 3)))
+        return frames
+
     def reference(self, camera: int = 0, samples: int = 256, **changes: Any) -> NDArray[np.float32]:
         """(H, W, 3) radiance of the path tracer, made once a case. Without jitter, as pictures here."""
 
@@ -111,6 +127,13 @@ def marked(picture: Picture, wrong: NDArray[np.bool_]) -> Picture:
     out = picture.copy()
     out[wrong] = WRONG
     return out
+
+
+def developed(radiance: NDArray[Any]) -> Picture:
+    """Radiance (H, W) or (H, W, 3) as a picture, without tone map; roughly sRGB."""
+    if radiance.ndim == 2:
+        return grey(radiance)
+    return (np.clip(radiance, 0, 1) ** (1 / 2.2) * 255).astype(np.uint8)
 
 
 def grey(values: NDArray[Any]) -> Picture:
