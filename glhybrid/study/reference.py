@@ -29,6 +29,7 @@ log = logging.getLogger("glhybrid")
 Progress = Callable[[str, int, int], None]
 BATCH = 8  # paths a pixel of the first two batches; they double
 LARGEST_BATCH = 256
+LEAST = 64  # paths a pixel, whatever the time: fewer tell nothing apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +76,7 @@ def converge(
     """Averages paths until the FLIP of its noise is at most `target`, or `most` paths a pixel, or the time.
 
     folder: where it is kept; default `reference` in the cache folder, nowhere with GLHYBRID_CACHE=off. What was there
-    is gone on from. budget_s counts this call alone.
+    is gone on from. budget_s counts this call alone, after its first batches.
     """
     key = content_key(scene, camera, size, bounces)
     if folder is None and os.environ.get("GLHYBRID_CACHE") != "off":
@@ -87,7 +88,8 @@ def converge(
     while True:
         noise = halves.noise_flip()
         spent = time.perf_counter() - started
-        enough = halves.samples > 0 and (noise <= target or halves.samples >= most or spent >= budget_s)
+        timed_out = spent >= budget_s and halves.samples >= LEAST
+        enough = halves.samples > 0 and (noise <= target or halves.samples >= most or timed_out)
         if progress is not None:
             aim = (
                 most
@@ -105,6 +107,8 @@ def converge(
             base = Settings(reflections="reference", aa=1, bounces=bounces, samples=count, seed=halves.batches)
             frame = renderer.render(scene, camera, size, base)
             halves.add(half, frame["radiance"], count)
+        if halves.batches == 2:
+            started = time.perf_counter()  # the first pair also compiles, which is no progress
         halves.seconds = kept_s + time.perf_counter() - started
         if path is not None and time.perf_counter() - saved > 20:
             halves.write(path)

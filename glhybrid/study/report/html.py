@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 HERE = Path(__file__).parent
 WIDEST = 640  # pixels of an embedded picture
 BARS = (0.1, 0.05, 0.02)  # of FLIP, for "the cheapest under"
+AXIS_NAMES = {"ao": "Ambient occlusion"}
 Row = dict[str, Any]
 
 
@@ -184,8 +185,8 @@ def _chart(name: str, axis: str, rows: Sequence[Row], clock: str, reference: Row
         size=charts.NARROW if axis else charts.WIDE,
     )
     if axis:
-        others = ", ".join(sorted({row[k] for row in rows for k in techniques.TECHNIQUES if k != axis}))
-        caption = f"<b>{axis.capitalize()}.</b> All with {escape(others)}. The line joins what nothing beats in both."
+        others = ", ".join(sorted({row[k] for row in rows for k in techniques.TECHNIQUES if k != axis} - {"none"}))
+        caption = f"<b>{AXIS_NAMES.get(axis, axis.capitalize())}.</b> All with {escape(others)}. The line joins what nothing beats in both."
     else:
         caption = (
             "<b>The whole picture.</b> Everything measured; the line joins what nothing beats in both time and error."
