@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from glhybrid import techniques
+from glhybrid import cli, techniques
 from glhybrid.errors import OutputError, SettingError
 from glhybrid.scene import Light, Material, Scene
 from glhybrid.settings import Settings
-from glhybrid.study import direct, pareto, picture, stability, store, sweep
+from glhybrid.study import direct, pareto, picture, run, stability, store, sweep
 from glhybrid.study.progress import Meter, spoken
 from glhybrid.study.report import axis, charts
 from glhybrid.study.sweep import Cell
@@ -307,3 +307,36 @@ def test_charts_of_little(points: list[Any]) -> None:
 def test_results_are_json(tmp_path: Path) -> None:
     store.write_json(tmp_path / "x.json", {"a": (1, np.float64("nan")), "b": Path("c"), 3: {True}})
     assert json.loads((tmp_path / "x.json").read_text()) == {"a": [1, None], "b": "c", "3": [True]}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--techniques", "cms"), 'unknown technique for a study "cms"; did you mean "csm"'),
+        (("--size", "8x8"), "at least 16 pixels"),
+        (("--camera", "nowhere"), "nowhere"),
+        ((), "no-such-scene"),
+    ],
+)
+def test_the_command_line_refuses_before_any_work(
+    arguments: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("flip_evaluator")
+    scene = "no-such-scene.glb" if not arguments else "cornell"
+    assert cli.main(["study", scene, "-o", str(tmp_path / "out"), "--quick", *arguments]) == 2
+    err = capsys.readouterr().err
+    assert said in err and err.startswith("glhybrid: error:") and "Traceback" not in err
+
+
+def test_a_folder_that_is_a_file_is_an_error_of_the_command_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("flip_evaluator")
+    (tmp_path / "out").write_text("")
+    assert cli.main(["study", "cornell", "-o", str(tmp_path / "out")]) == 2
+    assert "cannot be written to" in capsys.readouterr().err
+
+
+def test_files_of_one_name_have_folders_of_their_own() -> None:
+    loaded = run._load(["a/scene.gltf", "b/scene.gltf", "plaza"], lambda name: Scene(name))
+    assert list(loaded) == ["scene", "scene-2", "plaza"] and loaded["scene-2"].name == "b/scene.gltf"
