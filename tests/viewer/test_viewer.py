@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -244,3 +245,21 @@ def test_a_technique_that_fails_leaves_the_last_good_one(open_viewer: Open, monk
     viewer.settle()
     assert viewer.session.a.shadows == "ray" and any("does not compile" in s.text for s in viewer.session.said)
     assert np.array_equal(plain(viewer), before)
+
+
+def test_a_clip_plays_and_stops_at_renders_picture(open_viewer: Open, context: Context, models: Path) -> None:
+    """A skinned model in a split view: both sides move, and where it stops it is `render --time`'s picture."""
+    source = str(models / "Fox" / "Fox.glb")
+    viewer = open_viewer(source, mode="split")
+    viewer.settle()
+    still = plain(viewer).copy()
+    press(viewer, "space")
+    for _ in range(6):
+        viewer.tick()
+    assert viewer.session.transport.playing and viewer.session.transport.time > 0
+    press(viewer, "space")
+    viewer.settle()
+    assert not viewer.session.transport.playing and not np.array_equal(plain(viewer), still)
+    command = viewer.session.command(viewer.picture_size)
+    assert "--time" in command and "--clip 0" in command
+    assert np.array_equal(plain(viewer), rendered(viewer, context, command))
