@@ -260,5 +260,6 @@ def ghosts(renderer: Renderer, size: tuple[int, int], settings: Settings) -> tup
     counted = energy > 0.05 * energy.max()
     sign = np.sign(before - after)[counted]
     total = float(energy[counted].sum()) or 1.0
-    left = [max(float(((f - after)[counted] * sign).sum()) / total, 0.0) for f in frames[LEAVE_FRAME:]]
+    shares = [float(((f - after)[counted] * sign).sum()) / total for f in frames[LEAVE_FRAME:]]
+    left = [share if share > 1e-6 else 0.0 for share in shares]  # below: rounding
     return stability.half_life(left, LEFT), left

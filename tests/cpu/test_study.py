@@ -1,5 +1,6 @@
 """The study without a device: which cells, fronts, figures of pictures, what is kept, charts."""
 
+import itertools
 import json
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -297,6 +298,12 @@ def test_curves_mark_where_a_line_breaks() -> None:
     (ring,) = root.findall(".//circle")
     assert "map breaks at 100" in (ring[0].text or "")
     assert {"map", "ray"} <= {t.text for t in root.iter("text")}
+
+
+def test_names_of_lines_stay_inside_and_apart() -> None:
+    placed = charts._stack([100.0, 402.0, 402.0, 402.0, 405.0], 412.0)
+    assert placed[0] == 100 and max(placed) <= 412
+    assert all(b - a >= charts.LINE for a, b in itertools.pairwise(placed))
 
 
 @pytest.mark.parametrize("points", [[], [charts.Point(1.0, 0.0, "one", "traced", True)]])

@@ -134,15 +134,25 @@ def curves(
                 f'cy="{y.at(value):.1f}" r="5"><title>{escape(line.label)} breaks at {shown(line.breaks)}</title></circle>'
             )
         ends.append((where[-1][1], i))
-    placed = -math.inf
-    for at, i in sorted(ends):
-        placed = max(at, placed + LINE)
+    for (at, i), placed in zip(sorted(ends), _stack(sorted(at for at, _ in ends), height - 8), strict=True):
         parts.append(
             f'<line class="leader" x1="{x.end:.1f}" x2="{x.end + 8:.1f}" y1="{at:.1f}" y2="{placed:.1f}"/>'
             f'<text class="small" style="fill:var(--c{i % 8})" x="{x.end + 11:.1f}" y="{placed + 3.5:.1f}">'
             f"{escape(lines[i].label)}</text>"
         )
     return _svg(parts, title, size)
+
+
+def _stack(wanted: Sequence[float], lowest: float) -> list[float]:
+    """Where names stand, LINE apart and none past `lowest`, near where they want to; ascending."""
+    placed: list[float] = []
+    for at in wanted:
+        placed.append(max(at, placed[-1] + LINE) if placed else at)
+    limit = lowest
+    for k in reversed(range(len(placed))):
+        placed[k] = min(placed[k], limit)
+        limit = placed[k] - LINE
+    return placed
 
 
 def standalone(svg: str) -> str:

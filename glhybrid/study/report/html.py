@@ -316,7 +316,7 @@ def _curves(study: "Study", files: dict[str, str]) -> str:
         return ""
     parts = [
         '<section id="stability"><h2>Stability</h2><p>Error over one parameter at a time. A ring marks where a technique '
-        'breaks: the first value at which it passes the bar, if it was under it before.</p><div class="charts">'
+        'breaks: the first value past the bar, walking away from where it is best.</p><div class="charts">'
     ]
     for curve in study.curves:
         lines = [Line(e["technique"], curve["values"], _numbers(e["errors"]), e["breaks"]) for e in curve["lines"]]
