@@ -20,6 +20,7 @@ void main() {
     }
     partial[i] = sum;
     for (uint half_count = 512u; half_count > 0u; half_count >>= 1u) {
+        memoryBarrierShared();
         barrier();
         if (i < half_count) partial[i] += partial[i + half_count];
     }

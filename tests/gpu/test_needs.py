@@ -153,7 +153,9 @@ def test_one_level_where_nothing_repeats(renderer: gh.Renderer) -> None:
     assert flat.plan["levels"] == 1 and not flat.names("two_level")
     repeated = scene()
     again = repeated.replace(
-        instances=repeated.instances + tuple(replace(i, world_from_object=moved((0, 2, 0))) for i in repeated.instances)
+        instances=tuple(
+            replace(i, world_from_object=moved((0, 2 * k, 0))) for k in range(8) for i in repeated.instances
+        )
     )
     ran = Ran(renderer, again)
     assert ran.plan["levels"] == 2 and ran.names("two_level")
