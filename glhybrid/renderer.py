@@ -47,6 +47,10 @@ Progress = Callable[[str, int, int], None]
 INTERACTIVE_STAGINGS = 4  # two techniques side by side, the reference, and one on its way in
 LIVE = frozenset({"exposure", "tone", "aa", "bounces", "seed"})  # settings that change numbers of a frame only
 SOFTWARE_LIGHTS = 500  # whose shadow rays, of some 100 turns each, one invocation is sure to finish
+OF_SURFACES = (
+    "occlusion", "reflections", "mirror_rays", "march", "glossy", "probes", "probes_blurred", "denoise",
+    "denoise_shadows", "visibility", "shadow_maps", "shadow_rays", "shadow_bits", "lightmap",
+)  # features that a scene without any does not need  # fmt: skip
 LIT_AHEAD = {"baked", "probe"}  # techniques that hold light from when they were staged
 
 
@@ -256,22 +260,10 @@ class Staged:
         features = features.replace(
             bvh_stack=max(upload.stack_entries, upload.stack_needed()),
             reason="reason" in aovs,
-            occlusion=features.occlusion and not empty,
             exact_distance="reflection_hit" in aovs,
-            reflections=features.reflections and not empty,
-            mirror_rays=features.mirror_rays and not empty,
-            march=features.march and not empty,
-            glossy=features.glossy and not empty,
-            probes=features.probes and not empty,
-            probes_blurred=features.probes_blurred and not empty,
-            denoise=features.denoise and not empty,
-            denoise_shadows=features.denoise_shadows and not empty,
-            visibility=features.visibility and not empty,
-            shadow_maps=features.shadow_maps and not empty,
-            shadow_rays=features.shadow_rays and not empty,
-            shadow_bits=features.shadow_bits and not empty,
-            lightmap=features.lightmap and not empty,
         )
+        if empty:
+            features = features.replace(**dict.fromkeys(OF_SURFACES, False))
         self.features, self.empty = features, empty
         self.constants = FrameConstants(context, scene, settings)
         self.sky = Sky(context, shaders, scene.environment, features)

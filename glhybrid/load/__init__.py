@@ -72,9 +72,9 @@ def _find(source: str | Path) -> Path:
             what = f'"{path.suffix}" files' if path.suffix else "a file without suffix"
             exists = "" if path.exists() else " (nor is there such a file)"
             raise LoadError(f"{path}: cannot read {what}{exists}; supported: {', '.join(SUFFIXES)}")
-        raise LoadError(
-            f"{unknown('built-in scene', text, builtin.scene_names())}; or name a file ({', '.join(SUFFIXES)})"
-        )
+        # Failures are found where they are meant, and not listed where they are not.
+        known = [n for n in builtin.scene_names() if n.startswith("failures/") == text.startswith("failures/")]
+        raise LoadError(f"{unknown('built-in scene', text, known)}; or name a file ({', '.join(SUFFIXES)})")
     try:
         if path.is_dir():
             raise LoadError(f"{path}: is a folder; name the model in it ({', '.join(SUFFIXES)})")
