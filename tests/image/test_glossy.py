@@ -116,7 +116,8 @@ def test_rays_follow_the_roughness(renderer: "Renderer") -> None:
     assert sent[ids == 1].mean() > 0.98 and not sent[ids == 2].any()
     # Where no ray is sent it is `env`.
     plain = renderer.render(world, size=(160, 120), settings=Settings(aa=1, reflections="env"))
-    assert relative(frame["radiance"][ids == 0], plain["radiance"][ids == 0]).max() < 3e-5  # two programs round apart
+    bar = 1e-5 if renderer.context.device.software else 3e-5  # two programs round apart; measured 1.1e-5 on an H100
+    assert relative(frame["radiance"][ids == 0], plain["radiance"][ids == 0]).max() < bar
 
 
 def test_seeds(renderer: "Renderer") -> None:

@@ -37,7 +37,8 @@ def test_a_sphere_over_a_floor(renderer: "Renderer", radius: float) -> None:
     ratio = (frame["radiance"] / want)[on]
     print(f"radius {radius}: mean {ratio.mean():.5f}, spread {ratio.std():.4f}")
     assert on.sum() > 2500 and abs(ratio.mean() - 1) < 0.002  # 64 samples of 3,000 pixels
-    assert ratio.std() < 0.03 if radius > 0.1 else ratio.std() < 0.005  # measured 0.003
+    small = 0.003 if renderer.context.device.software else 0.005  # noise: 0.0033 on an H100, whose sines differ
+    assert ratio.std() < (0.03 if radius > 0.1 else small)
 
 
 def lit_by(lamp: Any, pose: Any, **extra: Any) -> Scene:

@@ -42,7 +42,7 @@ def test_nothing_flickers_in_a_pan(renderer: "Renderer", offset: float) -> None:
         pose[:3, 3] += k * pixel * base[:3, 0]
         camera = Camera(f"pan {k}", pose, fov_y=0, ymag=HALF)
         frames.append(renderer.render(world, camera, SIZE, Settings(aa=1), aovs=AOVS))
-    flips = rounded = checked = 0
+    flips = rounded = checked = stood = 0
     first = frames[0]
     for k, frame in enumerate(frames[1:], start=1):
         # Pixel x of frame k is pixel x + k of the first.
@@ -53,14 +53,16 @@ def test_nothing_flickers_in_a_pan(renderer: "Renderer", offset: float) -> None:
         still = (old["position"] == new["position"]).all(-1) & same
         flipped = (old["visibility"] != new["visibility"]).any(-1)
         checked += int(same.sum())
+        stood += int(still.sum())
         before, after = (np.minimum(x["reflection_hit"].astype(np.float64), 1e6) for x in (old, new))  # inf: the sky
         changed = np.abs(before - after) > 1e-3 * before
         flipped |= changed
         flips += int(flipped[still].sum())
         rounded += int(flipped[same & ~still].sum())
-    assert checked > 50_000 and flips == 0, (flips, checked)
-    # A pixel a step further is rounded anew: its point is another float, 1e-7 m away, and may stand across an edge.
-    assert rounded <= 3e-5 * checked, (rounded, checked)
+    assert checked > 50_000 and stood > 0.5 * checked and flips == 0, (flips, stood, checked)
+    # A pixel a step further is rounded anew: its point may be another float, 1e-7 of the scene away, and stand across an
+    # edge: on an H100 one does, on llvmpipe none.
+    assert rounded <= (0 if renderer.context.device.software else 3e-5 * checked), (rounded, checked)
     shadows = first["visibility"][..., 0]
     assert 0.03 < (shadows == 0).mean() < 0.9 and np.isfinite(first["reflection_hit"]).any()
 
