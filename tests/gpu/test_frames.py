@@ -1,5 +1,6 @@
 """Frames to files: resumed, never broken, and each the same however it was reached."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -78,7 +79,9 @@ def test_a_killed_run_leaves_whole_frames(models: Path, tmp_path: Path) -> None:
         code = process.wait(timeout=30)
         assert code == (-signal.SIGKILL if stop == signal.SIGKILL else 130)
         done = sorted(tmp_path.glob("[0-9]*.png"))
-        assert before + 5 <= len(done) < 400 and [p.stem for p in done] == [f"{i:04d}" for i in range(len(done))]
+        # Files are written side by side: one of those under way may be missing where a later one is whole.
+        missing = set(range(int(done[-1].stem) + 1)) - {int(p.stem) for p in done}
+        assert before + 5 <= len(done) < 400 and len(missing) <= (os.cpu_count() or 1)
         for path in done:
             Image.open(path).load()
 
