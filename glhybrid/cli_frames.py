@@ -9,9 +9,9 @@ from glhybrid.errors import SettingError
 
 if TYPE_CHECKING:
     from glhybrid.camera_path import CameraMove
-    from glhybrid.console import Progress
     from glhybrid.scene import Scene
     from glhybrid.settings import Settings
+    from glhybrid.timing import Progress
 
 
 @Parameter(name="*")

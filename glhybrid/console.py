@@ -5,11 +5,13 @@ import io
 import logging
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from glhybrid.timing import Progress
 
 PATIENCE_S = 1.0  # work that takes longer shows its progress
-Progress = Callable[[str, int, int], None]
 
 
 def error(message: object) -> None:
@@ -34,7 +36,7 @@ def start_log(quiet: bool) -> None:
 
 
 @contextlib.contextmanager
-def progress(shown: bool) -> Iterator[Progress]:
+def progress(shown: bool) -> Iterator["Progress"]:
     """A callback `(stage, done, total)` that draws a bar on stderr once work has gone on for PATIENCE_S.
 
     total 0 = unknown. Draws nothing where `shown` is false or stderr is no terminal.

@@ -51,6 +51,11 @@ class FrameConstants:
     def upload(self) -> None:
         self.buffer.write(self.rows)
 
+    def choose_lights(self, first: int, end: int) -> None:
+        """Which lights the next dispatch is for: first..end-1."""
+        self.put(light_first=first, light_end=end)
+        self.upload()
+
     def look(self, view: View, light_count: int) -> None:
         """The fields of a camera, and where the one before was: in this frame's world, whose origin may be another."""
         clip, previous = view.clip_from_world, self._previous

@@ -5,7 +5,6 @@ that a bilinear lookup anywhere on a chart may read has a point on that chart: t
 that nothing is extrapolated. Spheres get octahedral maps with a border. No OpenGL.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -14,13 +13,13 @@ import numpy as np
 from glhybrid.errors import SettingError
 from glhybrid.geometry import Geometry
 from glhybrid.scene import F32, F64, U32
+from glhybrid.timing import Progress
 from glhybrid.unwrap import Charts, unwrap
 
 REACH = 1.4142136  # texels from a point to the middle of any that a bilinear lookup there reads
 BORDER = 1  # texels round a chart that lookups read
 SPHERE_TEXELS = 3.5449077  # sqrt(4 pi): an octahedral map as large as the sphere
 REMEDY = "give a lower shadows.baked.texels (per metre) or shadows.baked.budget, or take shadows = ray"
-Progress = Callable[[str, int, int], None]
 
 
 class Limits(NamedTuple):

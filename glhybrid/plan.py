@@ -1,4 +1,4 @@
-"""What will run for a scene, settings and device, and why: decided here, carried out by renderer.py, printable."""
+"""What will run for a scene, settings and device, and why: decided here, carried out by frame.py, printable."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any

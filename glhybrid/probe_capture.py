@@ -12,7 +12,7 @@ from glhybrid.timing import Timing
 from glhybrid.view import View, make_view
 
 if TYPE_CHECKING:
-    from glhybrid.renderer import Staged
+    from glhybrid.staged import Staged
 
 
 class Capture:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from glhybrid import outputs
+from glhybrid import outputs, receipt
 from glhybrid import pose as posing
 from glhybrid.errors import DeviceError, SettingError
 from glhybrid.image import Frame
@@ -17,7 +17,8 @@ from glhybrid.settings import Settings
 from glhybrid.timing import Timing
 
 if TYPE_CHECKING:
-    from glhybrid.renderer import Renderer, Staged
+    from glhybrid.renderer import Renderer
+    from glhybrid.staged import Staged
     from glhybrid.view import View
 
 T = TypeVar("T")
@@ -58,7 +59,7 @@ def frames(
 
     def readings(drawn: _Drawn, chosen: Settings, timing: Timing | None) -> list[Reading[Any]]:
         if timing is not None:
-            first.update(drawn.staged.receipt(drawn.view, timing, 0.0))
+            first.update(receipt.make(drawn.staged, drawn.view, timing, 0.0))
         said = {"time": chosen.time, "camera": drawn.view.camera.name}
         warnings = [w for w in first["scene"]["warnings"] if not w.startswith("time ")]
         if chosen.time is not None:
@@ -70,9 +71,9 @@ def frames(
         return [outputs.rgb(drawn.display), drawn.staged.display.exposure(), *names]
 
     for rgb, exposure, *arrays in _stream(renderer, scene, shots, size, settings, aovs, in_flight, TIMED, readings):
-        receipt = receipts.popleft()
-        receipt["settings"]["exposure_ev"] = exposure
-        yield Frame(rgb, dict(zip(aovs, arrays, strict=True)), receipt)
+        told = receipts.popleft()
+        told["settings"]["exposure_ev"] = exposure
+        yield Frame(rgb, dict(zip(aovs, arrays, strict=True)), told)
 
 
 def arrays(

@@ -7,6 +7,8 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
+Progress = Callable[[str, int, int], None]  # told of a long job: what it counts, how many are done, of how many
+
 
 class Timing:
     """Milliseconds by pass, one entry a frame. Off: run() only runs."""

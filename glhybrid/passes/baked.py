@@ -22,12 +22,13 @@ from glhybrid import content_cache, layout, lightmap
 from glhybrid.context import Context
 from glhybrid.gl import BufferTexture
 from glhybrid.gpu_scene import GpuScene, light_rows
-from glhybrid.lightmap import Lightmap, Limits, Progress
+from glhybrid.lightmap import Lightmap, Limits
 from glhybrid.needs import Features
 from glhybrid.scene import F32
 from glhybrid.settings import Settings
 from glhybrid.shaders import Shaders
 from glhybrid.targets import Targets
+from glhybrid.timing import Progress
 
 ROWS_AT_ONCE = 1 << 17  # texels in a dispatch
 FIRST_SAMPLES = 16  # of a light with a size, everywhere; the others only where these say that there is a penumbra

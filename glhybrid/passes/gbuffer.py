@@ -32,8 +32,8 @@ class GBufferRaster:
         }
         if features.alpha_test:
             self._programs[True] = shaders.raster("gbuffer", features.replace(sphere_proxy=False))
-        batches, pairs = draws.batches(geometry, scene.flipped)
-        self._batches = []
+        self._flipped = scene.flipped
+        batches, pairs = draws.batches(geometry, self._flipped)
         if batches:
             index = self._own(gl.buffer(np.ascontiguousarray(geometry.triangles[:, :3])))
             per_instance = self._own(gl.buffer(np.array(pairs, np.uint32)))
@@ -57,6 +57,11 @@ class GBufferRaster:
             )
             self._owned.append(self._spheres)
             self._sphere_count = len(spheres)
+
+    @property
+    def outdated(self) -> bool:
+        """Whether other instances are mirrored than when the batches were made."""
+        return not np.array_equal(self._flipped, self._scene.flipped)
 
     def _own(self, buffer: moderngl.Buffer) -> moderngl.Buffer:
         self._owned.append(buffer)

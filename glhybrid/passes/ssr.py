@@ -14,7 +14,6 @@ from typing import Any
 
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.needs import Features
-from glhybrid.passes.screen_depth import ScreenDepth
 from glhybrid.settings import Settings
 from glhybrid.shaders import Shaders
 from glhybrid.targets import Targets
@@ -27,7 +26,6 @@ class Ssr:
         self._program = shaders.compute("ssr", features)
         self._scene = scene
         self._reason = features.reason
-        self.screen = ScreenDepth(shaders, scene, features)
         key = f"reflections.{settings.reflections}"
         self._uniforms: dict[str, Any] = {"march_steps": settings.parameter(f"{key}.steps")}
         if settings.reflections == "ssr":
@@ -36,7 +34,7 @@ class Ssr:
         else:
             self._uniforms |= {"march_thickness": 0.0, "march_thickness_m": 0.0}
 
-    def run(self, targets: Targets, ids: Any, visibility: Any, screen: dict[str, Any]) -> Any:
+    def run(self, targets: Targets, ids: Any, visibility: Any, screen: dict[str, Any]) -> dict[str, Any]:
         """screen: what ScreenDepth.run gave."""
         reflection = targets.get("reflection")
         resources = {**self._scene.resources, **screen, **self._uniforms, "gbuffer_id": ids}
@@ -46,4 +44,4 @@ class Ssr:
         if self._reason:
             resources["out_reason"] = targets.get("reason")
         self._program.dispatch(resources, targets.size)
-        return reflection
+        return {"reflection": reflection}

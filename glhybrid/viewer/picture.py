@@ -8,9 +8,10 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from glhybrid.renderer import Renderer, Staged
+from glhybrid.renderer import Renderer
 from glhybrid.scene import F32, Camera, Scene
 from glhybrid.settings import Settings
+from glhybrid.staged import Staged
 from glhybrid.timing import Timing
 from glhybrid.view import View, make_view
 

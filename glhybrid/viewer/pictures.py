@@ -9,9 +9,10 @@ from functools import lru_cache
 from typing import Any, Literal
 
 from glhybrid.errors import GlhybridError
-from glhybrid.renderer import Renderer, Staged
+from glhybrid.renderer import Renderer
 from glhybrid.scene import U8
 from glhybrid.settings import Settings
+from glhybrid.staged import Staged
 from glhybrid.viewer import views
 from glhybrid.viewer.budget import GPU_MS, REST_S, SOFTWARE_MS, Budget, scaled
 from glhybrid.viewer.measure import Measure

@@ -73,7 +73,7 @@ def render(
 
 def rays_sent(renderer: gh.Renderer, resolution: str, size: tuple[int, int]) -> int:
     """Pixels of the grid and of the list, surface or not."""
-    listed = int(np.frombuffer(renderer._staged.reflect._count.read(), np.uint32)[3])  # type: ignore[union-attr]
+    listed = int(np.frombuffer(renderer._staged.passes.reflect._count.read(), np.uint32)[3])  # type: ignore[union-attr]
     return listed + size[0] * size[1] // {"half": 4, "checkerboard": 2}[resolution]
 
 

@@ -16,6 +16,7 @@ import glhybrid as gh
 from glhybrid.errors import SettingError
 from glhybrid.image import Frame
 from glhybrid.load.shapes import box
+from glhybrid.passes.shadow_map import ShadowMap
 from glhybrid.scene import (
     F64,
     Animation,
@@ -209,7 +210,8 @@ def test_texel_snapping_stops_the_shimmer(renderer: gh.Renderer, context: "Conte
         counted = facing(frame, scene)
         staged = renderer.stage(scene, settings("csm", {"resolution": 1024, "snap": snap}), S1)
         ids = staged.targets.get("gbuffer_id")
-        assert staged.shadow is not None and staged.shadow.name == "shadow_map"
+        maps = staged.passes.shadow
+        assert isinstance(maps, ShadowMap)
         seen_frames = []
         for k in range(16):
             angle = min(k, 8) * camera.fov_y / S1[1]
@@ -219,8 +221,8 @@ def test_texel_snapping_stops_the_shimmer(renderer: gh.Renderer, context: "Conte
             pose = camera.world_from_view @ turn
             pose[:3, 3] += max(k - 8, 0) * 0.013 * camera.world_from_view[:3, 0]
             view = make_view(Camera("moved", pose, fov_y=camera.fov_y), S1, scene)
-            staged.shadow.look(view)  # type: ignore[union-attr]
-            image = staged.shadow.run(staged.targets, ids, staged._set_lights)
+            maps.look(view)
+            image = maps.run(staged.targets, ids, staged.constants.choose_lights)
             seen_frames.append(np.frombuffer(image.read(), np.uint8).reshape(S1[1], S1[0])[::-1] / 255)
         rate[snap] = metrics.flip_rate(seen_frames, counted)
     say(f"flips a frame: snapped {rate[True]:.5f} %, not snapped {rate[False]:.4f} %")

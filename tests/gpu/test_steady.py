@@ -19,7 +19,7 @@ from glhybrid.view import make_view
 
 if TYPE_CHECKING:
     from glhybrid.context import Context
-    from glhybrid.renderer import Staged
+    from glhybrid.staged import Staged
 
 SIZE = (40, 24)
 MAKERS = (

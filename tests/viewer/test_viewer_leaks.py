@@ -1,5 +1,6 @@
 """A hundred scenes one after the other leave no GL object behind, nor does a closed viewer."""
 
+import gc
 from collections.abc import Callable
 from typing import Any
 
@@ -38,6 +39,7 @@ def small(number: int) -> Scene:
 
 
 def test_a_hundred_scenes_leave_nothing(open_viewer: Callable[..., Viewer], context: Context, monkeypatch: Any) -> None:
+    gc.collect()  # what tests before this one left is freed now, not while we count
     viewer = open_viewer(small(0), size=(24, 16), mode="split", a=_settings("ray"), b=_settings("map"))
     counts = []
     for number in range(LOADS):

@@ -1,0 +1,142 @@
+"""The frame, on one page: the passes that a scene and its settings call for, and what each hands to the next.
+
+What is not called for is None and costs nothing: no program, no image, no dispatch.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from glhybrid.context import Context
+from glhybrid.frame_constants import FrameConstants
+from glhybrid.gpu_scene import GpuScene
+from glhybrid.needs import Features
+from glhybrid.passes.baked import Baked
+from glhybrid.passes.composite import Composite
+from glhybrid.passes.denoise import Denoise
+from glhybrid.passes.gbuffer import GBufferRaster, GBufferTrace
+from glhybrid.passes.glossy import Glossy
+from glhybrid.passes.ray_ao import RayAo
+from glhybrid.passes.reflect import Reflect
+from glhybrid.passes.reflect_sparse import ReflectSparse
+from glhybrid.passes.screen_depth import ScreenDepth
+from glhybrid.passes.shadow import Shadow
+from glhybrid.passes.shadow_map import ShadowMap
+from glhybrid.passes.shadow_soft import ShadowSoft
+from glhybrid.passes.ssao import Ssao
+from glhybrid.passes.ssr import Ssr
+from glhybrid.plan import Plan
+from glhybrid.settings import Settings
+from glhybrid.shaders import Shaders
+from glhybrid.targets import Targets
+from glhybrid.timing import Progress
+
+Timed = Callable[[str, Callable[[], Any]], Any]  # runs the work of a pass under its name, and returns its result
+
+
+class Passes:
+    """Kim's frame: what is seen, what light reaches it, what it reflects, together. Made and run in that order."""
+
+    def __init__(
+        self,
+        context: Context,
+        shaders: Shaders,
+        scene: GpuScene,
+        features: Features,
+        settings: Settings,
+        plan: Plan,
+        constants: FrameConstants,
+        progress: Progress | None = None,
+    ) -> None:
+        self._context, self._shaders, self._scene, self._features = context, shaders, scene, features
+        self._constants = constants
+        self._traced = plan.primary == "trace" and len(scene.geometry.meshes) > 0
+        self.gbuffer = self._make_gbuffer()
+
+        self.shadow: Shadow | ShadowMap | ShadowSoft | Baked | None = None
+        if features.shadow_maps:
+            self.shadow = ShadowMap(context, shaders, scene, features, settings)
+        elif features.lightmap:
+            self.shadow = Baked(context, shaders, scene, features, settings, progress)
+        elif features.visibility and features.light_discs:
+            self.shadow = ShadowSoft(shaders, scene, features, settings)
+        elif features.visibility:
+            self.shadow = Shadow(shaders, scene, features)
+
+        self.occlusion: Ssao | RayAo | None = None
+        if features.occlusion:
+            self.occlusion = (Ssao if settings.ao == "ssao" else RayAo)(shaders, scene, features, settings)
+
+        self.screen_depth = ScreenDepth(shaders, scene, features) if features.march else None
+        self.reflect: Reflect | ReflectSparse | Ssr | Glossy | None = None
+        if features.march:
+            self.reflect = Ssr(shaders, scene, features, settings)
+        elif features.glossy:
+            self.reflect = Glossy(shaders, scene, features, settings)
+        elif features.reflections and features.reflect_grid:
+            self.reflect = ReflectSparse(context, shaders, scene, features, settings)
+        elif features.reflections:
+            self.reflect = Reflect(shaders, scene, features, plan.split)
+
+        noisy = features.denoise or features.denoise_shadows
+        self.denoise = Denoise(shaders, scene, features, settings) if noisy else None
+        composed = settings.reflections != "reference" or not len(scene.geometry.meshes)
+        self.composite = Composite(shaders, scene, features) if composed else None
+
+    def run(self, targets: Targets, timed: Timed) -> Any:
+        """One frame -> the image of linear radiance."""
+        composite = self.composite
+        assert composite is not None
+        ids = timed(self.gbuffer.name, lambda: self.gbuffer.run(targets))
+        visibility, indirect = self.light(targets, ids, timed)
+        return timed(composite.name, lambda: composite.run(targets, ids, visibility, indirect))
+
+    def light(self, targets: Targets, ids: Any, timed: Timed) -> tuple[Any, dict[str, Any]]:
+        """The image of what light arrives directly, and by their channels those of what arrives by other ways."""
+        shadow, occlusion, screen_depth, reflect = self.shadow, self.occlusion, self.screen_depth, self.reflect
+        denoise = self.denoise
+        visibility: Any = None
+        indirect: dict[str, Any] = {}
+        if denoise is not None:
+            timed(denoise.name, lambda: denoise.begin(targets, ids))
+        if shadow is not None:
+            visibility = timed(shadow.name, lambda: shadow.run(targets, ids, self._constants.choose_lights))
+            if denoise is not None:
+                timed(denoise.name, lambda: denoise.visibility(targets, visibility))
+        if occlusion is not None:
+            indirect["occlusion"] = timed(occlusion.name, lambda: occlusion.run(targets, ids))
+        if isinstance(reflect, Ssr):
+            assert screen_depth is not None
+            screen = timed(screen_depth.name, lambda: screen_depth.run(targets, ids))
+            indirect |= timed(reflect.name, lambda: reflect.run(targets, ids, visibility, screen))
+        elif reflect is not None:
+            indirect |= timed(reflect.name, lambda: reflect.run(targets, ids))
+        if denoise is not None:
+            timed(denoise.name, lambda: denoise.reflections(targets, indirect))
+        return visibility, indirect
+
+    @property
+    def resources(self) -> dict[str, Any]:
+        """What programs of other passes read of the shadow pass: maps, and numbers."""
+        return {} if self.shadow is None or isinstance(self.shadow, Shadow) else self.shadow.resources
+
+    @property
+    def maps(self) -> ShadowMap | Baked | None:
+        """The shadow pass, if it has images that others look into."""
+        return self.shadow if isinstance(self.shadow, (ShadowMap, Baked)) else None
+
+    def moved(self) -> None:
+        """To be called when instances have moved: the raster's states say which of them are mirrored."""
+        if isinstance(self.gbuffer, GBufferRaster) and self.gbuffer.outdated:
+            self.gbuffer.release()
+            self.gbuffer = self._make_gbuffer()
+
+    def _make_gbuffer(self) -> GBufferRaster | GBufferTrace:
+        if self._traced:
+            return GBufferTrace(self._shaders, self._scene, self._features)
+        return GBufferRaster(self._context, self._shaders, self._scene, self._features)
+
+    def release(self) -> None:
+        sparse = self.reflect if isinstance(self.reflect, ReflectSparse) else None
+        for owner in (self.gbuffer, self.maps, sparse):
+            if owner is not None:
+                owner.release()

@@ -1,0 +1,71 @@
+"""The receipt of a picture: what was drawn, how, on what, and how long it took."""
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+from glhybrid import __version__, pose
+from glhybrid.timing import Timing
+from glhybrid.view import View
+
+if TYPE_CHECKING:
+    from glhybrid.staged import Staged
+
+SOFTWARE_LIGHTS = 500  # whose shadow rays, of some 100 turns each, one invocation is sure to finish
+
+
+def make(staged: "Staged", view: View, timing: Timing, first_image_ms: float) -> dict[str, Any]:
+    """Of the picture just drawn, ready for JSON. Waits for the device: the exposure is read back.
+
+    first_image_ms: from the call that asked for the picture until it was read.
+    """
+    scene, upload, plan = staged.scene, staged.upload, staged.plan
+    mover, probe, maps = staged.mover, staged.probe, staged.passes.maps
+    medians = (mover.ms if mover is not None else {}) | timing.medians()
+    if probe is not None and mover is not None:
+        medians["probe"] = probe.ms  # anew for every time
+    images = (staged.targets, staged.sky, *(part for part in (maps, probe) if part is not None))
+    found = {
+        "version": __version__,
+        "scene": {
+            "name": scene.name, "path": str(scene.path) if scene.path else None, "sha256": scene.sha256,
+            "triangles": scene.triangle_count(), "instances": len(scene.instances), "lights": len(scene.lights),
+            "materials": len(upload.geometry.materials), "dropped_triangles": upload.geometry.dropped,
+            "warnings": warnings(staged),
+        },
+        "device": staged.context.device.to_dict(),
+        "settings": staged.settings.to_dict() | {
+            "size": list(view.size), "camera": view.camera.name, "exposure_ev": staged.display.exposure_ev(),
+        },
+        "plan": {
+            "passes": list(plan.passes), "programs": staged.shaders.names, "primary": plan.primary,
+            "levels": upload.geometry.levels, "reasons": list(plan.reasons),
+            "image_bytes": upload.image_bytes + sum(part.bytes for part in images),
+            "buffer_bytes": upload.buffer_bytes + staged.constants.buffer.size
+            + (mover.bytes if mover is not None else 0),
+            "skipped": list(plan.skipped),
+        },
+        "bvh": upload.bvh_stats(),
+        "passes": [{"name": name, "ms": ms} for name, ms in medians.items()],
+        "frame_ms": sum(medians.values()),
+        "first_image_ms": first_image_ms,
+    }  # fmt: skip
+    if probe is not None:
+        found["probes"] = {"placed": [dataclasses.asdict(p) for p in probe.placed], "capture_ms": probe.ms}
+    return found
+
+
+def warnings(staged: "Staged") -> list[str]:
+    """What the loader could not keep, and what this picture may show wrong."""
+    scene, settings, dropped = staged.scene, staged.settings, staged.upload.geometry.dropped
+    said = list(scene.warnings)
+    if settings.time is not None or settings.clip is not None:
+        said += pose.notes(scene, settings.time, settings.clip)
+    if dropped:
+        said.append(f"{dropped} triangles dropped: without area, or with a vertex that is not finite")
+    rays = staged.features.mirror_rays or staged.features.blended
+    if staged.context.device.software and rays and len(scene.lights) > SOFTWARE_LIGHTS:
+        said.append(
+            f"{len(scene.lights)} lights: a software device ends the loops of a pixel at 65,535 turns: what "
+            f"mirror rays and blended layers show may lack shadows of those past {SOFTWARE_LIGHTS}; a GPU does not"
+        )
+    return said
