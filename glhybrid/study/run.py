@@ -12,8 +12,9 @@ from glhybrid import techniques
 from glhybrid.image import Frame
 from glhybrid.renderer import Renderer
 from glhybrid.scene import Scene
-from glhybrid.study import curves, peers, picture, results, scene_study, store, sweep
+from glhybrid.study import curves, picture, results, scene_study, store, sweep
 from glhybrid.study import paper as papers
+from glhybrid.study.peers import panel
 from glhybrid.study.progress import Meter, Progress
 from glhybrid.study.results import Study
 from glhybrid.study.sweep import Cell
@@ -74,7 +75,7 @@ def run(
             work.append(scene_study.SceneStudy(renderer, name, scene, seen, axes, spent, bounces, output, study, meter))
             meter.expect(work[-1].size_of_work())
         costs = {
-            "peers": PEER_CELLS * len(peers.NAMES) * len(work),
+            "peers": PEER_CELLS * len(panel.NAMES) * len(work),
             "ladder": papers.LADDER_CELLS,
             "stability": curves.size_of_work(),
             "failures": FAILURE_CELLS,
@@ -135,14 +136,14 @@ def _machine(renderer: Renderer, size: tuple[int, int], command: str) -> dict[st
 
 
 def _peers(
-    renderer: Renderer, sites: Sequence[peers.Site], quick: bool, meter: Meter, note: Callable[[str], None]
+    renderer: Renderer, sites: Sequence[panel.Site], quick: bool, meter: Meter, note: Callable[[str], None]
 ) -> list[dict[str, Any]]:
     rows = []
     for site in sites:
-        for name in peers.NAMES:
+        for name in panel.NAMES:
             meter.begin(f"{site.name}: {name}")
-            samples = peers.QUICK_SAMPLES if quick else peers.SAMPLES
-            rows.append(peers.ask(renderer, name, site, samples, note))
+            samples = panel.QUICK_SAMPLES if quick else panel.SAMPLES
+            rows.append(panel.ask(renderer, name, site, samples, note))
             meter.end(PEER_CELLS)
     return [row for row in rows if row is not None]
 

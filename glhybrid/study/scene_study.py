@@ -19,7 +19,7 @@ from glhybrid.study import direct, measure, reflected, results, stability, store
 from glhybrid.study import reference as references
 from glhybrid.study.develop import develop
 from glhybrid.study.measure import Clock
-from glhybrid.study.peers import Site
+from glhybrid.study.peers.panel import Site
 from glhybrid.study.progress import Meter
 from glhybrid.study.reference import Reference
 from glhybrid.study.results import Study

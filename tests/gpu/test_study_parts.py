@@ -1,5 +1,6 @@
 """The study's further parts: curves over a parameter, what is gone, the paper again, scenes for other renderers."""
 
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,9 +12,9 @@ import glhybrid as gh
 from glhybrid.load.builtin import scene_path
 from glhybrid.scene import Environment
 from glhybrid.settings import Settings
-from glhybrid.study import curves, paper, peers, picture, reflected, stages
+from glhybrid.study import curves, paper, picture, reflected, stages
 from glhybrid.study.measure import Clock
-from glhybrid.study.peers import bundle, glb
+from glhybrid.study.peers import bundle, glb, panel
 from glhybrid.study.progress import Meter
 
 if TYPE_CHECKING:
@@ -145,25 +146,76 @@ def test_8_bit_pictures_give_radiance_past_white() -> None:
 
 def test_a_peer_that_is_absent_is_a_note(renderer: gh.Renderer, tmp_path: Path) -> None:
     notes: list[str] = []
-    site = peers.Site(
+    site = panel.Site(
         "x", gh.load(str(scene_path("cornell"))), None, SIZE, np.ones((72, 96, 3), np.float32), "", 0.0, tmp_path
     )  # type: ignore[arg-type]
-    assert peers.ask(renderer, "no_such_renderer", site, 1, notes.append) is None
-    assert notes == ["no_such_renderer is left out: no_such_renderer is not installed (pip install no_such_renderer)"]
+    assert panel.ask(renderer, "no_such_renderer", site, 1, notes.append) is None
+    assert notes == [
+        "no_such_renderer is left out: no_such_renderer is not installed (pip install no_such_renderer, or set "
+        "GLHYBRID_NO_SUCH_RENDERER_PYTHON to a Python that has it)"
+    ]
+
+
+def test_a_peer_may_live_in_another_python(
+    renderer: gh.Renderer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Found by its variable; and what it imports of this package needs nothing but NumPy, which comes from its side."""
+    panel.interpreter.cache_clear()
+    monkeypatch.setenv("GLHYBRID_BPY_PYTHON", str(tmp_path / "python"))
+    assert panel.missing("bpy").startswith(f"GLHYBRID_BPY_PYTHON is {tmp_path / 'python'}, which cannot be run")
+    panel.interpreter.cache_clear()
+    modules = tmp_path / "elsewhere"
+    modules.mkdir()
+    (modules / "bpy.py").write_text(FAKE_BPY)
+    python = tmp_path / "python"
+    python.write_text(f'#!/bin/sh\nPYTHONPATH="{modules}" exec "{sys.executable}" "$@"\n')
+    python.chmod(0o755)
+    assert panel.missing("bpy") == ""
+    scene, camera = stages.mirror_floor(0.25)
+    site = panel.Site("floor", scene, camera, SIZE, np.ones((72, 96, 3), np.float32), "1", 0.0, tmp_path)
+    notes: list[str] = []
+    assert panel.ask(renderer, "bpy", site, 1, notes.append) is None
+    panel.interpreter.cache_clear()
+    assert notes == ["floor: bpy is left out: RuntimeError: asked for []"], "bpy_process reached it, without our modules"
+
+
+FAKE_BPY = """
+import sys
+class Ops:
+    def __getattr__(self, name):
+        ours = [m for m in sys.modules if m.split(".")[0] in ("moderngl", "numba", "PIL")]
+        raise RuntimeError(f"asked for {ours}")
+ops = Ops()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["bpy", "pyrender", "filly"])
+def test_peers_see_the_scene(renderer: gh.Renderer, tmp_path: Path, name: str) -> None:
+    """Their pictures are of the same things in the same places; how far off they are follows from their models."""
+    if reason := panel.missing(name):
+        pytest.skip(reason)
+    scene, camera = stages.mirror_floor(0.25)
+    want = renderer.render(scene, camera, SIZE, Settings(reflections="reference", aa=1, samples=64))["radiance"]
+    site = panel.Site("floor", scene, camera, SIZE, want, "1", 0.0, tmp_path)
+    notes: list[str] = []
+    row = panel.ask(renderer, name, site, 16, notes.append)
+    assert row is not None, notes
+    assert row["flip"] < {"bpy": 0.1, "filly": 0.45, "pyrender": 0.6}[name] and row["notes"]
 
 
 @pytest.mark.slow
 def test_mitsuba_sees_the_same_picture(renderer: gh.Renderer, tmp_path: Path) -> None:
     """Glossy metal, sky and unlit bodies mean the same in both; noise and antialiased edges remain."""
-    if reason := peers.missing("mitsuba"):
+    if reason := panel.missing("mitsuba"):
         pytest.skip(reason)
     scene, camera = stages.mirror_floor(0.25)
     want = renderer.render(scene, camera, SIZE, Settings(reflections="reference", aa=4, bounces=8, samples=64))[
         "radiance"
     ]
-    site = peers.Site("floor", scene, camera, SIZE, want, "1", 0.0, tmp_path)
+    site = panel.Site("floor", scene, camera, SIZE, want, "1", 0.0, tmp_path)
     notes: list[str] = []
-    row = peers.ask(renderer, "mitsuba", site, 64, notes.append)
+    row = panel.ask(renderer, "mitsuba", site, 64, notes.append)
     assert row is not None, notes
     assert row["flip"] < 0.1 and abs(row["bias_percent"]) < 2 and (tmp_path / row["images"]["flip"]).is_file()
 

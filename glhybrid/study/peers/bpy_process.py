@@ -8,7 +8,7 @@ import numpy as np
 
 from glhybrid.study.peers import common
 
-NOTES = ["Principled BSDF: multiple scattering and its own Fresnel", "lamps without size; 8 bounces"]
+NOTES = ["Principled BSDF: multiple scattering and its own Fresnel", "8 bounces; lamps are spheres of their radius"]
 
 
 def main(folder: str, out: str) -> None:
@@ -17,6 +17,8 @@ def main(folder: str, out: str) -> None:
     path, about, sky = common.read(folder)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.import_scene.gltf(filepath=str(path))
+    for material in bpy.data.materials:
+        _shine_for_all_rays(material)
     scene = bpy.context.scene
     world_from_gltf = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], float)  # Blender is Z up
     _camera(bpy, scene, about, world_from_gltf)
@@ -38,6 +40,14 @@ def main(folder: str, out: str) -> None:
         picture = _read_exr(bpy, scene.render.filepath)
     notes = [f"{about['samples']} paths a pixel", *NOTES]
     common.answer(out, picture, ms, bpy.app.version_string, notes)
+
+
+def _shine_for_all_rays(material) -> None:  # type: ignore[no-untyped-def]
+    """What is unlit is imported so that only the camera sees it; mirrors see it as well."""
+    nodes = {node.type: node for node in material.node_tree.nodes} if material.use_nodes else {}
+    if {"LIGHT_PATH", "EMISSION", "OUTPUT_MATERIAL"} <= nodes.keys():
+        shine, out = nodes["EMISSION"].outputs[0], nodes["OUTPUT_MATERIAL"].inputs["Surface"]
+        material.node_tree.links.new(shine, out)
 
 
 def _camera(bpy, scene, about, world_from_gltf) -> None:  # type: ignore[no-untyped-def]

@@ -10,7 +10,7 @@ from glhybrid.study.peers import common
 
 NOTES = [
     "the sky is prefiltered and reflects without occlusion; height-correlated Smith term",
-    "shadow maps; 8-bit pictures: radiance from three exposures",
+    "shadow maps; 8-bit pictures: radiance from three exposures, which unlit surfaces do not follow",
 ]
 
 
