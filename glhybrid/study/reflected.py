@@ -1,31 +1,48 @@
-"""What a reflection shows: the right object, at the right distance? Asked with a scene in which every object shines in
-a colour of its own and nothing else does, so that the colour at a mirror says what is seen in it, whatever made it.
+"""What a reflection shows: the right object, at the right point? Asked with a scene in which every object shines in a
+colour of its own and nothing else does, so that the colour at a mirror says what is seen in it, whatever made it; and
+by the point that is shown there (reflected_points.py), drawn where the mirror would have it: so many pixels from the
+true one.
 
 Held against exact mirror rays in the same scene.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from glhybrid.renderer import Renderer
-from glhybrid.scene import F32, Camera, Instance, Material, Scene
+from glhybrid.scene import F32, F64, Camera, Instance, Material, Scene
 from glhybrid.settings import Settings
+from glhybrid.study.reflected_points import Rays, shown_points
 
 SMOOTH = 0.3  # roughness up to which a surface is looked at: what rougher ones show has no outline
 LEVELS = 8  # of each channel of a code: 511 objects, then codes come again
 EXACT = Settings(shadows="none", reflections="ray-lerp", aa=1)
 KEPT = ("normal", "base_color")  # textures that decide directions and holes
+RIGHT_PX, RIGHT_SHARE = 0.5, 0.02  # a point is right within so many pixels, and this share of its distance
 
 
 @dataclass(frozen=True)
 class Shown:
-    """right_object_percent: of smooth pixels, those that show what is there. distance_error_percent: of
-    those on an object, median error of its distance along the ray; None where the technique tells no distance."""
+    """right_object_percent: of smooth pixels, those that show what is there. right_point_percent: of the same, those
+    that show its very point: within RIGHT_PX, and RIGHT_SHARE of its distance.
+
+    Of those that show the right object, where a technique tells a point: reflected_error_px: median distance on the
+    picture between the point shown and the true one, and _p95 its 95th percentile; reflected_distance_error_percent:
+    of the length of the mirror ray, median. None where no point is told.
+    """
 
     right_object_percent: float
-    distance_error_percent: float | None
+    right_point_percent: float | None
+    reflected_error_px: float | None
+    reflected_error_px_p95: float | None
+    reflected_distance_error_percent: float | None
+
+    to_dict = asdict
+
+
+NOTHING = dict.fromkeys(Shown.__dataclass_fields__)  # of a picture without mirrors
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,19 +55,39 @@ class Mirrors:
     counted: NDArray[np.bool_]
     colour: F32
     distance: F32
+    rays: Rays
 
     def ask(self, renderer: Renderer, settings: Settings) -> Shown:
         """What a technique shows of it; shadows have no say."""
-        aovs = ("reflection", "reflection_hit")
-        frame = renderer.render(self.scene, self.camera, self.size, settings.replace(shadows="none"), aovs=aovs)
+        settings = settings.replace(shadows="none")
+        aovs = ("reflection", "reflection_hit", "reason", "position")
+        frame = renderer.render(self.scene, self.camera, self.size, settings, aovs=aovs)
         off = np.abs(frame["reflection"] - self.colour).max(-1)
         right = self.counted & (off < 0.25 / LEVELS)
-        percent = 100 * float(right.sum()) / max(int(self.counted.sum()), 1)
-        got, want = frame["reflection_hit"], self.distance
-        told = right & np.isfinite(want) & np.isfinite(got) & (got > 0) & (want > 0)
+        count = max(int(self.counted.sum()), 1)
+        percent = 100 * float(right.sum()) / count
+        sky = right & np.isinf(self.distance)
+        told = right & np.isfinite(self.distance) & (self.distance > 0)
         if not told.any():
-            return Shown(percent, None)
-        return Shown(percent, 100 * float(np.median(np.abs(got[told] - want[told]) / want[told])))
+            return Shown(percent, 100 * float(sky.sum()) / count, None, None, None)
+        points = shown_points(renderer, self.scene, self.rays, frame, settings)
+        px, share = self.rays.error_px(points), self._away(points)
+        known = told & np.isfinite(share)
+        if not known.any():  # it shows objects, and tells no points
+            return Shown(percent, None, None, None, None)
+        exact = sky | (known & (px <= RIGHT_PX) & (share <= RIGHT_SHARE))
+        middle, most = np.percentile(px[known], (50, 95), method="nearest").tolist()
+        length = np.linalg.norm(points[known] - self.rays.origin[known], axis=-1)
+        distance = np.abs(length / self.distance[known] - 1)
+        return Shown(
+            percent, 100 * float(exact.sum()) / count, float(middle), float(most), 100 * float(np.median(distance))
+        )
+
+    def _away(self, points: F64) -> F64:
+        """(H, W) distance of shown points from the true ones, over the length of the mirror ray."""
+        with np.errstate(invalid="ignore"):
+            apart = np.linalg.norm(points - self.rays.at(self.distance), axis=-1)
+            return np.asarray(apart / self.distance)
 
 
 def find(renderer: Renderer, scene: Scene, camera: Camera, size: tuple[int, int]) -> Mirrors | None:
@@ -61,9 +98,11 @@ def find(renderer: Renderer, scene: Scene, camera: Camera, size: tuple[int, int]
     if not counted.any():
         return None
     marked = coded(scene)
-    truth = renderer.render(marked, camera, size, EXACT, aovs=("reflection", "reflection_hit"))
+    aovs = ("reflection", "reflection_hit", "position", "normal", "normal_geometric")
+    truth = renderer.render(marked, camera, size, EXACT, aovs=aovs)
     counted &= truth["reflection_hit"] > 0
-    return Mirrors(marked, camera, size, counted, truth["reflection"], truth["reflection_hit"])
+    rays = Rays.of(marked, camera, size, truth)
+    return Mirrors(marked, camera, size, counted, truth["reflection"], truth["reflection_hit"], rays)
 
 
 def coded(scene: Scene) -> Scene:

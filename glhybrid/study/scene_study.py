@@ -203,8 +203,7 @@ class SceneStudy:
             "flicker": moving.flicker if moving else None,
             "flicker_p99": moving.flicker_p99 if moving else None,
             "flip_rate_percent": moving.flip_rate_percent if moving else None,
-            "right_object_percent": shown.right_object_percent if shown else None,
-            "reflected_distance_error_percent": shown.distance_error_percent if shown else None,
+            **(shown.to_dict() if shown else reflected.NOTHING),
             "images": images,
         }  # fmt: skip
 

@@ -176,7 +176,9 @@ def test_a_peer_may_live_in_another_python(
     notes: list[str] = []
     assert panel.ask(renderer, "bpy", site, 1, notes.append) is None
     panel.interpreter.cache_clear()
-    assert notes == ["floor: bpy is left out: RuntimeError: asked for []"], "bpy_process reached it, without our modules"
+    assert notes == ["floor: bpy is left out: RuntimeError: asked for []"], (
+        "bpy_process reached it, without our modules"
+    )
 
 
 FAKE_BPY = """
@@ -226,13 +228,19 @@ def test_what_mirrors_show(renderer: gh.Renderer) -> None:
     mirrors = reflected.find(renderer, scene, camera, SIZE)
     assert mirrors is not None and 0.3 < mirrors.counted.mean() < 1
     exact = mirrors.ask(renderer, Settings(aa=1))
-    assert exact.right_object_percent == 100 and exact.distance_error_percent == 0
+    assert exact.right_object_percent == exact.right_point_percent == 100
+    assert exact.reflected_error_px is not None and exact.reflected_error_px < 1e-3
+    assert exact.reflected_distance_error_percent == 0
     sky = mirrors.ask(renderer, Settings(aa=1, reflections="env"))
     truly = 100 * float(np.isinf(mirrors.distance[mirrors.counted]).mean())
     assert sky.right_object_percent == pytest.approx(truly) and 20 < truly < 95
+    assert sky.right_point_percent == sky.right_object_percent and sky.reflected_error_px is None
     screen = mirrors.ask(renderer, Settings(aa=1, reflections="ssr"))
     assert sky.right_object_percent < screen.right_object_percent < 100
-    assert screen.distance_error_percent is not None and screen.distance_error_percent < 5
+    assert screen.right_point_percent is not None and screen.reflected_error_px is not None
+    assert sky.right_object_percent < screen.right_point_percent <= screen.right_object_percent
+    assert screen.reflected_error_px < 0.5 < 2 * (screen.reflected_error_px_p95 or 0) + 1
+    assert screen.reflected_distance_error_percent is not None and screen.reflected_distance_error_percent < 5
     rough, _ = stages.mirror_floor(0.9)
     unlit = rough.replace(instances=rough.instances[:1])
     assert reflected.find(renderer, unlit, camera, SIZE) is None

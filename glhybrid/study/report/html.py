@@ -210,7 +210,17 @@ COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("wrong_shadow_outside_percent", "outside<br>edges %", "outside the one-pixel band of the true edge"),
     ("wrong_shadow_inside_percent", "inside<br>edges %", "inside that band"),
     ("right_object_percent", "right<br>object %", "of smooth pixels whose mirror image shows the object that is there"),
-    ("reflected_distance_error_percent", "its distance<br>off by %", "median, where the object is right"),
+    (
+        "right_point_percent",
+        "right<br>point %",
+        "of smooth pixels that show the very point: within half a pixel and 2 % of its way",
+    ),
+    (
+        "reflected_error_px",
+        "point<br>off by px",
+        "median distance on the picture to the true point, where the object is right",
+    ),
+    ("reflected_error_px_p95", "of 95 %,<br>px", "95 % of those are nearer"),
     ("flicker", "flicker", "mean change of a world point under a pan by one pixel, over mean luminance"),
     ("flip_rate_percent", "shadow<br>flips %", "points whose shadow changes sides, a frame of that pan"),
 )
