@@ -12,15 +12,11 @@ import numpy as np
 from glhybrid import layout
 from glhybrid.bvh import Blas, load_or_build
 from glhybrid.errors import GeometryError
+from glhybrid.levels import choose_levels
 from glhybrid.scene import F32, F64, U32, Instance, Material, Mesh, Scene, Sphere, Triangles
 
-# Triangles after flattening / before: above it, instances save more than one level gains. A GPU gains more: on an H100
-# one level made `atrium` (5 times as many) 1.28 times as fast, `plaza` (12 times, 90 MB instead of 8) only 1.11 times.
-FLATTEN_GROWTH = 1.25
-FLATTEN_GROWTH_GPU = 6.0
 SMALLEST_AREA = 1e-24  # m2, of the parallelogram: below it, products of three lengths underflow float32 in the ray test
 LARGEST = 1e12  # m: above it, they overflow
-FLATTEN_RATIO = 1e-4  # smallest instance / scene: below it, float32 about the scene's centre would bend its shape
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,49 +55,12 @@ class Geometry:
     material_index: U32  # (M,): their rows in Scene.materials
     source_triangle: U32  # (T,): triangle within its scene mesh, primitives in order
     dropped: int
+    flattened_away: int  # of those dropped, triangles that two levels would have kept
     why_levels: str
 
     @property
     def nodes(self) -> int:
         return sum(len(m.blas.nodes) for m in self.meshes)
-
-
-def choose_levels(scene: Scene, asked: int | str, software: bool = True) -> tuple[int, str]:
-    """How many levels of trees, and why. software: the device is a CPU."""
-    if asked in (1, 2):
-        if asked == 1 and (odd := [i for i in scene.instances if not _flattenable(scene, i.mesh, i.world_from_object)]):
-            return 2, f'instance "{odd[0].name}" is a sphere under a non-uniform scale'
-        return int(asked), "asked for"
-    if not scene.instances:
-        return 1, "nothing is drawn"
-    counts = [sum(len(p.index) if isinstance(p, Triangles) else 1 for p in m.primitives) for m in scene.meshes]
-    drawn = sum(counts[i.mesh] for i in scene.instances)
-    stored = sum(counts[i] for i in {i.mesh for i in scene.instances})
-    if drawn > (FLATTEN_GROWTH if software else FLATTEN_GROWTH_GPU) * stored:
-        return 2, f"meshes are repeated: {drawn} triangles drawn from {stored} stored"
-    if any(not _flattenable(scene, i.mesh, i.world_from_object) for i in scene.instances):
-        return 2, "a sphere stands under a non-uniform scale"
-    extent = float(np.linalg.norm(np.diff(scene.bounds(), axis=0)))
-    sizes = np.linalg.norm(scene.instance_bounds[:, 1] - scene.instance_bounds[:, 0], axis=1)
-    smallest = float(min(sizes[sizes > 0], default=extent))
-    if smallest < FLATTEN_RATIO * extent:
-        return 2, f"the smallest object is {smallest / extent:.1e} of the scene"
-    return (
-        1,
-        "no mesh is repeated"
-        if drawn == stored
-        else f"one level, {drawn / stored:.1f} times the triangles: faster on this device",
-    )
-
-
-def _flattenable(scene: Scene, mesh: int, world_from_object: F64) -> bool:
-    if (
-        not any(isinstance(p, Sphere) for p in scene.meshes[mesh].primitives)
-        or not np.isfinite(world_from_object).all()
-    ):
-        return True
-    gram = world_from_object[:3, :3].T @ world_from_object[:3, :3]
-    return bool(np.allclose(gram, np.eye(3) * gram[0, 0], rtol=0, atol=1e-6 * gram[0, 0]))
 
 
 def _check_reach(scene: Scene, levels: int) -> None:
@@ -156,7 +115,7 @@ class _Builder:
         self.attributes: list[U32] = []
         self.triangles: list[U32] = []
         self.sources: list[U32] = []
-        self.vertex_count = self.triangle_count = self.dropped = 0
+        self.vertex_count = self.triangle_count = self.dropped = self.flattened_away = 0
         self.meshes: list[MeshData] = []
         self.instance_mesh: list[int] = []
         self.placements: list[F64] = []
@@ -199,6 +158,10 @@ class _Builder:
                 index = index[:, ::-1]  # front faces stay counter-clockwise
         keep = np.isfinite(position[index]).all((1, 2)) if id(mesh) in self.deforming else solid(position, index)
         self.dropped += int(len(index) - keep.sum())
+        if to_mesh is not None and not keep.all():
+            with np.errstate(invalid="ignore", over="ignore"):
+                own = piece.position.astype(np.float64) @ to_mesh[:3, :3].T
+            self.flattened_away += int(solid(own, index[~keep]).sum())
         before = sum(len(p.index) if isinstance(p, Triangles) else 1 for p in mesh.primitives[:k])
         self.sources.append(np.flatnonzero(keep).astype(np.uint32) + np.uint32(before))
         if not keep.all():
@@ -363,6 +326,7 @@ class _Builder:
             material_index=np.array(list(self.material_rows), np.uint32),
             source_triangle=np.concatenate(self.sources) if self.sources else np.zeros(0, np.uint32),
             dropped=self.dropped,
+            flattened_away=self.flattened_away,
             why_levels=why,
         )
 
@@ -379,7 +343,7 @@ def draw_state(material: Material) -> tuple[int, int]:
     return any_hit(material), int(not material.double_sided)
 
 
-def solid(position: F32, index: U32) -> np.ndarray:
+def solid(position: F32 | F64, index: U32) -> np.ndarray:
     """(T,) bool: triangles whose vertices are finite and whose area does not vanish in products of float32 lengths."""
     corner = position[index].astype(np.float64)
     with np.errstate(invalid="ignore", over="ignore"):

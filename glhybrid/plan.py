@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from glhybrid import needs, techniques
 from glhybrid.deform import at_time
 from glhybrid.errors import SettingError
-from glhybrid.geometry import choose_levels
+from glhybrid.levels import choose_levels
 from glhybrid.motion import Motion, wanted
 from glhybrid.needs import Features
 from glhybrid.scene import Scene

@@ -56,11 +56,13 @@ def make(staged: "Staged", view: View, timing: Timing, first_image_ms: float) ->
 
 def warnings(staged: "Staged") -> list[str]:
     """What the loader could not keep, and what this picture may show wrong."""
-    scene, settings, dropped = staged.scene, staged.settings, staged.upload.geometry.dropped
+    scene, settings, geometry = staged.scene, staged.settings, staged.upload.geometry
     said = list(scene.warnings)
     if settings.time is not None or settings.clip is not None:
         said += pose.notes(scene, settings.time, settings.clip)
-    if dropped:
+    if lost := geometry.flattened_away:
+        said.append(f"{lost} triangles dropped: too small for one level of trees over all; --set levels=2 shows them")
+    if dropped := geometry.dropped - lost:
         said.append(f"{dropped} triangles dropped: without area, or with a vertex that is not finite")
     rays = staged.features.mirror_rays or staged.features.blended
     if staged.context.device.software and rays and len(scene.lights) > SOFTWARE_LIGHTS:

@@ -17,6 +17,7 @@ from glhybrid import geometry, layout, plan
 from glhybrid.context import Context
 from glhybrid.gl import GL_RGBA32F, BufferTexture
 from glhybrid.gpu_scene import GpuScene
+from glhybrid.levels import choose_levels
 from glhybrid.load.defaults import default_light
 from glhybrid.scene import F32, F64, Camera, Light, Material, Scene, Sphere
 from glhybrid.settings import Settings
@@ -90,7 +91,7 @@ def variants(scene: Scene, software: bool) -> list[Variant]:
     own = default_variant(scene, software)
     found = [own, *(Variant(own.levels, steps) for steps in (1, 2, 3, 4, UNBOUNDED))]
     other = 3 - own.levels
-    if geometry.choose_levels(scene, other)[0] == other and (other == 2 or scene.triangle_count() <= MOST_FLAT):
+    if choose_levels(scene, other)[0] == other and (other == 2 or scene.triangle_count() <= MOST_FLAT):
         found.append(Variant(other, own.inner_steps))
     return list(dict.fromkeys(found))
 

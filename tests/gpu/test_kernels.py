@@ -7,7 +7,7 @@ import pytest
 
 from glhybrid import Renderer, Settings, load
 from glhybrid.context import Context
-from glhybrid.geometry import choose_levels
+from glhybrid.levels import choose_levels
 from glhybrid.scene import Camera, Instance, Light, Material, Mesh, Scene, Sphere
 
 AOVS = ("reflection", "reflection_hit", "reason")
