@@ -62,6 +62,7 @@ class Features:
     deforming: bool = False  # and some of them change shape
     step_counter: bool = False
     buffer_array: bool = False  # Mesa's software renderer: see lib/buffers.glsl
+    branchless: bool = False  # lanes of a CPU: see lib/bvh.glsl
     moeller_trumbore: bool = False  # tests only: the control that must leak
     bvh_stack: int = 0  # entries, from the depth of the trees
     bvh_inner_steps: int = 3  # inner nodes in a row, before a leaf

@@ -65,6 +65,7 @@ def make(
         clip_control=clip_control,
         bvh_inner_steps=tuning.inner_steps,
         buffer_array=software,
+        branchless=software,
     )
     split = settings.reflections == "ray-lerp" and features.reflections and not features.blended
     split = split and settings.kernels != "fused"

@@ -173,7 +173,10 @@ class _Stage:
         scene, software = scenes.make("spheres", triangles), context.device.software
         found = geometry.build(scene, 1, tangents=False, attributes=False)
         features = needs.find(scene, Settings()).features.replace(
-            clip_control=context.limits.clip_control, buffer_array=software, bvh_inner_steps=candidates(software)[0]
+            clip_control=context.limits.clip_control,
+            buffer_array=software,
+            branchless=software,
+            bvh_inner_steps=candidates(software)[0],
         )
         self.context, self.shaders, self.size, self.triangles = context, shaders, size, scene.triangle_count()
         self.upload = GpuScene(context, scene, found, features)

@@ -1,7 +1,11 @@
 // lib/bvh.glsl -- traversal of the two-level structure: closest_hit and any_hit.
 //
 // Node: two children in two texels, 16-bit box planes on a grid and a ref each. Bounded inner loop ("at most
-// BVH_INNER_STEPS inner nodes, then at most one leaf") keeps the lanes of a GPU together; on a CPU the bound is large.
+// BVH_INNER_STEPS inner nodes, then at most one leaf") keeps the lanes of a GPU together; on a CPU there is none.
+// USE_BRANCHLESS is that CPU's form of it. llvmpipe stores to the stack lane by lane, each behind a branch of its own, taken
+// if the lane is at work: those of "if (both)" were guessed wrong every other time. So every node stores, above the top where
+// it does not count, and the top is read before the boxes are, off the chain from node to node. A seventh faster, and the
+// near and far planes by the direction's sign another twentieth.
 // Triangle test: Woop, Benthin, Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1) 2013. `precise` is what makes
 // it watertight: an fma contracted on one side of a shared edge only opens a crack.
 // Boxes: Ize, "Robust BVH Ray Traversal", JCGT 2(2) 2013, with the bound taken in grid cells per axis instead of in ulps of t.
@@ -11,6 +15,7 @@
 const uint LEAF = 0x80000000u;
 const uint REF_END = 0xFFFFFFFFu;      // bottom of the stack
 const uint REF_RETURN = 0xFFFFFFFEu;   // the instance is done: back to the world's ray
+const bool UNBOUNDED = BVH_INNER_STEPS >= 0x100000;
 
 // What a ray sees.
 const uint SEE_SURFACES = 0u;      // camera and reflection rays: single-sided back faces and blended surfaces are invisible
@@ -27,6 +32,9 @@ uint step_count = 0u;
 struct LocalRay {
     vec3 origin, dir;
     vec3 inv_dir, lo_offset, hi_offset;   // in grid cells: t = plane * inv_dir - offset
+#if USE_BRANCHLESS
+    uvec3 near_shift;                     // 16 where the low plane is the near one, else 0; lo is then near, hi is far
+#endif
     vec3 shear;                           // x, y, z of the watertight test
     int axis;                             // of the largest direction component
 };
@@ -46,6 +54,14 @@ LocalRay local_ray(vec3 origin, vec3 dir, vec3 grid_min, vec3 grid_step) {
     vec3 pad = (abs(o) + 65536.0) * 6e-7;
     r.lo_offset = (o + pad) * r.inv_dir;
     r.hi_offset = (o - pad) * r.inv_dir;
+#if USE_BRANCHLESS
+    bvec3 down = lessThan(r.inv_dir, vec3(0.0));
+    vec3 lo = r.lo_offset;
+    r.near_shift = 16u - 16u * uvec3(down);
+    r.lo_offset = mix(lo, r.hi_offset, down);
+    r.hi_offset = mix(r.hi_offset, lo, down);
+    r.inv_dir *= 1.0 / 65536.0;
+#endif
     vec3 a = abs(dir);
     r.axis = a.x > a.y ? (a.x > a.z ? 0 : 2) : (a.y > a.z ? 1 : 2);
     vec3 p = permute(dir, r.axis);
@@ -53,16 +69,28 @@ LocalRay local_ray(vec3 origin, vec3 dir, vec3 grid_min, vec3 grid_step) {
     return r;
 }
 
-// Entry distance into a child's box, or a value above t_max. Compared as bits: floats that are not negative have the order
-// of their bits, a negative one only makes its slab start before t_min or end before it, whichever it is, and t_min is
-// not negative. An integer minimum knows no NaN to look out for: llvmpipe gains a fifth.
-float box_entry(uvec3 planes, LocalRay r, float t_min, float t_max) {
+// Where a ray enters a child's box and where it leaves it, not before t_min and not after t_max: missed if x > y. As bits:
+// floats that are not negative have the order of their bits, a negative one only makes its slab start before t_min or end
+// before it, whichever it is, and t_min is not negative. An integer minimum knows no NaN to look out for: llvmpipe gains a
+// fifth.
+ivec2 box_span(uvec3 planes, LocalRay r, float t_min, float t_max) {
+#if USE_BRANCHLESS
+    // In units of 2^-16 cells. The high plane keeps the low one as its fraction: less than a cell outward, on either side.
+    ivec3 enter = floatBitsToInt(vec3(planes << r.near_shift) * r.inv_dir - r.lo_offset);
+    ivec3 leave = floatBitsToInt(vec3(planes << (16u - r.near_shift)) * r.inv_dir - r.hi_offset);
+#else
     ivec3 t0 = floatBitsToInt(vec3(planes & 0xFFFFu) * r.inv_dir - r.lo_offset);
     ivec3 t1 = floatBitsToInt(vec3(planes >> 16u) * r.inv_dir - r.hi_offset);
     ivec3 enter = min(t0, t1), leave = max(t0, t1);
-    int near = max(max(enter.x, enter.y), max(enter.z, floatBitsToInt(t_min)));
-    int far = min(min(leave.x, leave.y), min(leave.z, floatBitsToInt(t_max)));
-    return near <= far ? intBitsToFloat(near) : INFINITY;
+#endif
+    return ivec2(max(max(enter.x, enter.y), max(enter.z, floatBitsToInt(t_min))),
+                 min(min(leave.x, leave.y), min(leave.z, floatBitsToInt(t_max))));
+}
+
+// Entry distance into a child's box, or a value above t_max.
+float box_entry(uvec3 planes, LocalRay r, float t_min, float t_max) {
+    ivec2 span = box_span(planes, r, t_min, t_max);
+    return span.x <= span.y ? intBitsToFloat(span.x) : INFINITY;
 }
 
 // Woop's test. Returns det (0 = outside) and the scaled weights of v0, v1, v2, and the depths along the ray's main axis.
@@ -161,16 +189,27 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
     stack[0] = REF_END;
     for (;;) {
         while (cur != REF_END) {
-            for (int i = 0; i < BVH_INNER_STEPS && (cur & LEAF) == 0u; i++) {
+            for (int i = 0; (UNBOUNDED || i < BVH_INNER_STEPS) && (cur & LEAF) == 0u; i++) {
                 uvec4 a = texelFetch(nodes, int(cur) * 2), b = texelFetch(nodes, int(cur) * 2 + 1);
+                // One child on the stack, the other next; none: the stack's top. The near one is next for the closest hit. For
+                // any hit the far one: what is near is the neighbourhood that the ray leaves, and seldom blocks it; up to a
+                // third fewer steps.
+#if USE_BRANCHLESS
+                uint top = stack[sp];
+                ivec2 in_a = box_span(a.xyz, local, ray.t_min, t_max), in_b = box_span(b.xyz, local, ray.t_min, t_max);
+                bool meets_a = in_a.x <= in_a.y, meets_b = in_b.x <= in_b.y;
+                bool b_next = meets_b && (!meets_a || (closest ? in_b.x < in_a.x : in_b.x > in_a.x));
+                stack[sp + 1] = b_next ? a.w : b.w;                              // counts if both are met
+                sp += int(meets_a) + int(meets_b) - 1;
+                cur = meets_a || meets_b ? (b_next ? b.w : a.w) : top;
+#else
                 float ta = box_entry(a.xyz, local, ray.t_min, t_max), tb = box_entry(b.xyz, local, ray.t_min, t_max);
-                // "< INFINITY" also sends a NaN away. One child on the stack, the other next; none: the stack's top. The near
-                // one is next for the closest hit. For any hit the far one: what is near is the neighbourhood that the ray
-                // leaves, and seldom blocks it; up to a third fewer steps.
+                // "< INFINITY" also sends a NaN away.
                 bool both = max(ta, tb) < INFINITY, a_first = (ta <= tb) != (both && !closest);
                 if (both) stack[++sp] = a_first ? b.w : a.w;
                 if (min(ta, tb) < INFINITY) cur = a_first ? a.w : b.w;
                 else cur = stack[sp--];
+#endif
 #if USE_STEP_COUNTER
                 step_count++;
 #endif

@@ -265,7 +265,7 @@ class Tracer:
         found = needs.find(scene, Settings()).features
         steps = 1 << 20 if context.device.software else 3
         self.geometry = geometry.build(scene, levels, tangents=found.tangents, attributes=found.extra_attributes)
-        kinds = {"exact_distance": True, **features}
+        kinds = {"exact_distance": True, "branchless": context.device.software, **features}
         found = found.replace(two_level=self.geometry.levels == 2, bvh_inner_steps=steps, **kinds)
         self.upload = GpuScene(context, scene, self.geometry, found)
         self.features = found.replace(bvh_stack=self.upload.stack_entries)

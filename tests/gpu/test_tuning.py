@@ -157,7 +157,9 @@ def test_no_variant_leaks_and_all_find_the_same(
             assert (slots > 1.2 * len(index)) == pieces
             first = tracer.trace(sent)
             assert first.hit.all() and first.blocked.all()
-            for change in [{"bvh_inner_steps": k} for k in STEPS] + [{"buffer_array": k} for k in (0, 1)]:
+            for change in [{"bvh_inner_steps": k} for k in STEPS] + [
+                {n: k} for n in ("buffer_array", "branchless") for k in (0, 1)
+            ]:
                 found = tracer.trace(sent, **change)
                 assert found.hit.all() and found.blocked.all(), change
                 assert np.array_equal(found.t, first.t) and np.array_equal(found.triangle, first.triangle), change
