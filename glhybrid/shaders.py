@@ -6,7 +6,10 @@ so equal programs are shared. Binding numbers are counted here and nowhere else.
 
 import os
 import re
-from collections.abc import Callable, Collection, Mapping
+import struct
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +21,7 @@ from glhybrid.errors import GeometryError, ShaderError
 from glhybrid.gl import BufferTexture
 from glhybrid.load.builtin import data_folder
 from glhybrid.needs import Features
+from glhybrid.pace import Bands, Pace
 
 Resource = moderngl.Texture | moderngl.TextureArray | moderngl.Buffer | BufferTexture | int | float | tuple[float, ...]
 
@@ -88,12 +92,19 @@ class Source:
 
 
 class Program:
-    """A linked program whose resources are given by their GLSL names. unread: of BUFFERS, what its text leaves out."""
+    """A linked program whose resources are given by their GLSL names. unread: of BUFFERS, what its text leaves out.
 
-    def __init__(self, context: Context, name: str, program: Any, unread: Collection[str] = ()) -> None:
+    pace: whether, and with what in between, it is drawn in bands.
+    """
+
+    def __init__(
+        self, context: Context, name: str, program: Any, unread: Collection[str] = (), pace: Pace | None = None
+    ) -> None:
         self.name = name
         self.program = program
         self._context = context
+        self._pace, self._bands = pace or Pace(), Bands()
+        self._first_row: Any = None  # of tiles; stays 0 unless drawn in bands
         self._bind: dict[str, Callable[[Any], None]] = {}
         samplers = images = blocks = 0
         for member in program:
@@ -119,6 +130,8 @@ class Program:
                     context.raw.set_sampler(program, member, images)
                     self._bind[member] = self._image_binder(images)
                     images += 1
+                elif member == "tile_row":
+                    self._first_row = handle
                 else:
                     self._bind[member] = self._uniform_setter(handle)
 
@@ -168,12 +181,51 @@ class Program:
 
     def dispatch(self, resources: Mapping[str, Any], size: tuple[int, int], group: tuple[int, int] = (8, 8)) -> None:
         """Runs once for every element of (width, height), then makes what it wrote visible to all that follows."""
+        across, down = -(-size[0] // group[0]), -(-size[1] // group[1])
+        if self._first_row is None or not self._pace.on:
+            self.bind(resources)
+            self.program.mglo.run(across, down, 1)
+            self._context.gl.memory_barrier()
+        else:
+            for band in self._in_bands(resources, across, down):
+                band()
+                self._pace.give_turn()
+
+    def parts(self, resources: Mapping[str, Any], size: tuple[int, int]) -> Iterator[Callable[[], None]]:
+        """What dispatch() does, in as many parts as the pace asks for: who draws them gives the turns."""
+        if self._first_row is None or not self._pace.on:
+            yield lambda: self.dispatch(resources, size)
+        else:
+            yield from self._in_bands(resources, -(-size[0] // 8), -(-size[1] // 8))
+
+    def _in_bands(self, resources: Mapping[str, Any], across: int, down: int) -> Iterator[Callable[[], None]]:
+        """Each binds anew: in a turn, others draw."""
+        first = 0
+        while first < down:
+            rows = min(self._bands.rows(across), down - first)
+            yield partial(self._band, resources, first, across, rows)
+            first += rows
+
+    def _band(self, resources: Mapping[str, Any], first: int, across: int, rows: int) -> None:
+        start = time.perf_counter()
         self.bind(resources)
-        self.program.mglo.run(-(-size[0] // group[0]), -(-size[1] // group[1]), 1)
+        self._first_row.value = first
+        try:
+            self.program.mglo.run(across, rows, 1)
+        finally:
+            self._first_row.value = 0
         self._context.gl.memory_barrier()
+        self._context.gl.finish()
+        self._bands.note(rows * across, (time.perf_counter() - start) * 1e3)
 
     def dispatch_indirect(self, resources: Mapping[str, Any], groups: moderngl.Buffer) -> None:
         """The same, over as many work groups as three uints at the start of a buffer say."""
+        if self._first_row is not None and self._pace.on:
+            across, down, _ = struct.unpack("3I", groups.read(12))
+            for band in self._in_bands(resources, across, down):
+                band()
+                self._pace.give_turn()
+            return
         self.bind(resources)
         self.program.run_indirect(groups)
         self._context.gl.memory_barrier()
@@ -184,6 +236,7 @@ class Shaders:
 
     def __init__(self, context: Context, extra: tuple[Path, ...] = ()) -> None:
         self._context = context
+        self.pace = Pace()
         self._folders = (data_folder("glsl"), *extra)
         self._sources: dict[str, Source] = {}
         self._programs: dict[tuple[str, ...], Program] = {}
@@ -236,7 +289,7 @@ class Shaders:
     ) -> Program:
         unread = [buffer for buffer, feature in _OPTIONAL.items() if not named.get(feature)]
         try:
-            return Program(self._context, name, make(), unread)
+            return Program(self._context, name, make(), unread, self.pace)
         except moderngl.Error as error:
             log = str(error)
             for source in sources[-1:] if "fragment" in log else sources[:1]:

@@ -50,7 +50,10 @@ class Reference:
         return radiance
 
     def steps(self, targets: Targets, staged: Any, timing: Any) -> Iterator[tuple[int, Any]]:
-        """(paths a pixel so far, radiance) after each dispatch, until settings.samples are averaged."""
+        """(paths a pixel so far, radiance) after each part of a dispatch, until settings.samples are averaged.
+
+        Between parts anything may be drawn; the upper rows of the image then have more paths than the rest.
+        """
         settings = staged.settings
         radiance = targets.get("radiance")
         resources = {**self._resources, "radiance": radiance}
@@ -58,11 +61,15 @@ class Reference:
         done = 0
         while done < settings.samples:
             count = min(self._at_once, settings.samples - done)
-            staged.set(
-                sample_first=done, sample_count=count, jitter_px=(spread, spread), emissive_weight=self.emissive_weight
-            )
             timing.frame()
-            timing.run("reference", lambda: self._program.dispatch(resources, targets.size))
+            for number, part in enumerate(self._program.parts(resources, targets.size)):
+                if number:
+                    yield done, radiance
+                staged.set(
+                    sample_first=done, sample_count=count, jitter_px=(spread, spread),
+                    emissive_weight=self.emissive_weight,
+                )  # fmt: skip
+                timing.run("reference", part)
             done += count
             yield done, radiance
 

@@ -19,11 +19,11 @@ layout(r8ui) writeonly uniform uimage2D out_reason;
 
 void main() {
 #if USE_PIXEL_LIST
-    uint i = (gl_WorkGroupID.y * GROUPS_ACROSS + gl_WorkGroupID.x) * 64u + gl_LocalInvocationIndex;
+    uint i = (tile().y * GROUPS_ACROSS + tile().x) * 64u + gl_LocalInvocationIndex;
     if (i >= pixel_count) return;
     ivec2 px = ivec2(pixel_list[i] & 0xFFFFu, pixel_list[i] >> 16u);
 #else
-    if (gl_GlobalInvocationID == uvec3(0u)) { groups_x = GROUPS_ACROSS; groups_y = 0u; groups_z = 1u; pixel_count = 0u; }
+    if (gl_GlobalInvocationID == uvec3(0u) && tile_row == 0u) { groups_x = GROUPS_ACROSS; groups_y = 0u; groups_z = 1u; pixel_count = 0u; }
     ivec2 cell = tile_pixel();
     ivec2 px = pixel_of(cell);
     if (any(greaterThanEqual(px, frame.size_px))) return;                  // groups overhang the edge

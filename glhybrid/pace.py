@@ -1,0 +1,65 @@
+"""Long dispatches in bands, with a turn for others in between: what keeps a window alive where a pass takes a second.
+
+Off, a dispatch is one dispatch. On, the rows of tiles of each program that works on tiles (lib/tile.glsl) are drawn a
+few at a time, as many as take about BAND_MS; pixels are the same to the bit.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+BAND_MS = 40.0  # of drawing between two turns
+GROWTH = 4.0  # of a band over the one before, at most: what is not measured yet is not believed
+
+
+class Interrupted(Exception):
+    """What was being drawn is not wanted any more. Images that it wrote to hold a part of it."""
+
+
+class Pace:
+    """away_s: seconds spent in turns so far."""
+
+    def __init__(self) -> None:
+        self._turn: Callable[[], None] | None = None
+        self.away_s = 0.0
+
+    @property
+    def on(self) -> bool:
+        return self._turn is not None
+
+    @contextmanager
+    def turns(self, turn: Callable[[], None] | None) -> Iterator[None]:
+        """turn: called between bands until the end of the block; what it raises goes through the drawing."""
+        before, self._turn = self._turn, turn
+        try:
+            yield
+        finally:
+            self._turn = before
+
+    def give_turn(self) -> None:
+        if self._turn is not None:
+            start = time.perf_counter()
+            try:
+                self._turn()
+            finally:
+                self.away_s += time.perf_counter() - start
+
+    def clock(self) -> float:
+        """Seconds, turns left out."""
+        return time.perf_counter() - self.away_s
+
+
+class Bands:
+    """How much of one program is drawn at a time: learns what a tile costs."""
+
+    def __init__(self) -> None:
+        self._tiles = 0.0  # in a band
+
+    def rows(self, across: int) -> int:
+        """Rows of so many tiles for the next band."""
+        return max(int(self._tiles / across), 1)
+
+    def note(self, tiles: int, ms: float) -> None:
+        """So many tiles took so long."""
+        fits = tiles * BAND_MS / max(ms, 1e-3)
+        self._tiles = min(fits, GROWTH * tiles)
