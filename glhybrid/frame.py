@@ -49,9 +49,6 @@ class Passes:
     ) -> None:
         self._context, self._shaders, self._scene, self._features = context, shaders, scene, features
         self._constants = constants
-        self._traced = plan.primary == "trace" and len(scene.geometry.meshes) > 0
-        self.gbuffer = self._make_gbuffer()
-
         self.shadow: Shadow | ShadowMap | ShadowSoft | Baked | None = None
         if features.shadow_maps:
             self.shadow = ShadowMap(context, shaders, scene, features, settings)
@@ -61,6 +58,9 @@ class Passes:
             self.shadow = ShadowSoft(shaders, scene, features, settings)
         elif features.visibility:
             self.shadow = Shadow(shaders, scene, features)
+
+        self._gbuffers: dict[bool, GBufferRaster | GBufferTrace] = {}  # after light maps, which may be given up
+        self.see(plan.primary)
 
         self.occlusion: Ssao | RayAo | None = None
         if features.occlusion:
@@ -126,17 +126,25 @@ class Passes:
 
     def moved(self) -> None:
         """To be called when instances have moved: the raster's states say which of them are mirrored."""
-        if isinstance(self.gbuffer, GBufferRaster) and self.gbuffer.outdated:
-            self.gbuffer.release()
-            self.gbuffer = self._make_gbuffer()
+        raster = self._gbuffers.get(False)
+        if isinstance(raster, GBufferRaster) and raster.outdated:
+            self._gbuffers.pop(False).release()
+            if self.gbuffer is raster:
+                self.see("raster")
 
-    def _make_gbuffer(self) -> GBufferRaster | GBufferTrace:
-        if self._traced:
-            return GBufferTrace(self._shaders, self._scene, self._features)
-        return GBufferRaster(self._context, self._shaders, self._scene, self._features)
+    def see(self, primary: str) -> None:
+        """From now on what the camera sees is found by `raster` or `trace`. Both are kept once made."""
+        traced = primary == "trace" and len(self._scene.geometry.meshes) > 0
+        if traced not in self._gbuffers:
+            self._gbuffers[traced] = (
+                GBufferTrace(self._shaders, self._scene, self._features)
+                if traced
+                else GBufferRaster(self._context, self._shaders, self._scene, self._features)
+            )
+        self.gbuffer = self._gbuffers[traced]
 
     def release(self) -> None:
         sparse = self.reflect if isinstance(self.reflect, ReflectSparse) else None
-        for owner in (self.gbuffer, self.maps, sparse):
+        for owner in (*self._gbuffers.values(), self.maps, sparse):
             if owner is not None:
                 owner.release()

@@ -1,14 +1,14 @@
 """Long dispatches in bands, with a turn for others in between: what keeps a window alive where a pass takes a second.
 
 Off, a dispatch is one dispatch. On, the rows of tiles of each program that works on tiles (lib/tile.glsl) are drawn a
-few at a time, as many as take about BAND_MS; pixels are the same to the bit.
+few at a time, as many as take about `band_ms`; pixels are the same to the bit.
 """
 
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-BAND_MS = 40.0  # of drawing between two turns
+BAND_MS = 40.0  # where nothing else is asked for
 GROWTH = 4.0  # of a band over the one before, at most: what is not measured yet is not believed
 
 
@@ -17,9 +17,10 @@ class Interrupted(Exception):
 
 
 class Pace:
-    """away_s: seconds spent in turns so far."""
+    """band_ms: of drawing between two turns. away_s: seconds spent in turns so far."""
 
     def __init__(self) -> None:
+        self.band_ms = BAND_MS
         self._turn: Callable[[], None] | None = None
         self.away_s = 0.0
 
@@ -59,7 +60,7 @@ class Bands:
         """Rows of so many tiles for the next band."""
         return max(int(self._tiles / across), 1)
 
-    def note(self, tiles: int, ms: float) -> None:
-        """So many tiles took so long."""
-        fits = tiles * BAND_MS / max(ms, 1e-3)
+    def note(self, tiles: int, ms: float, band_ms: float) -> None:
+        """So many tiles took so long; the next ones are to take about band_ms."""
+        fits = tiles * band_ms / max(ms, 1e-3)
         self._tiles = min(fits, GROWTH * tiles)

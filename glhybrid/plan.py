@@ -1,6 +1,6 @@
 """What will run for a scene, settings and device, and why: decided here, carried out by frame.py, printable."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from glhybrid import needs, techniques
@@ -11,7 +11,7 @@ from glhybrid.motion import Motion, wanted
 from glhybrid.needs import Features
 from glhybrid.scene import Scene
 from glhybrid.settings import Settings
-from glhybrid.tuning import Tuning, rule
+from glhybrid.tuning import VISIBILITY, Tuning, rule
 
 if TYPE_CHECKING:
     from glhybrid.image import Frame
@@ -98,6 +98,13 @@ def make(
         passes += ["denoise"] * (features.denoise or features.denoise_shadows) + ["composite"]
     passes.append("display")
     return Plan(features, levels, primary, split, tuple(passes), tuple(reasons), tuple(skipped))
+
+
+def resized(plan: Plan, tuning: Tuning, triangles: int, size: tuple[int, int]) -> Plan:
+    """The same plan at another size: which of raster and rays is faster depends on it. For settings.primary = auto."""
+    primary, why = tuning.primary(size[0] * size[1], triangles)
+    reasons = (why if reason.startswith(VISIBILITY) else reason for reason in plan.reasons)
+    return replace(plan, primary=primary, reasons=tuple(reasons))
 
 
 def _mirror_passes(features: Features, settings: Settings) -> list[str]:

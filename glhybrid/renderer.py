@@ -133,6 +133,8 @@ class Renderer:
         shared = next((s for s in reversed(self._stagings) if s.shares_upload(scene, settings)), None)
         self._drop(self._most - 1, shared.upload if shared else None)
         kept = (shared.upload, shared.mover) if shared else None
+        if progress is not None and "tuning" not in self.__dict__:
+            progress("measuring this device, once", 0, 0)
         staged = Staged(self.context, self.shaders, scene, settings, size, aovs, kept, self.tuning, progress)
         self._stagings.append(staged)
         return staged

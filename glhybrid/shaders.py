@@ -22,6 +22,7 @@ from glhybrid.gl import BufferTexture
 from glhybrid.load.builtin import data_folder
 from glhybrid.needs import Features
 from glhybrid.pace import Bands, Pace
+from glhybrid.timing import Progress
 
 Resource = moderngl.Texture | moderngl.TextureArray | moderngl.Buffer | BufferTexture | int | float | tuple[float, ...]
 
@@ -216,7 +217,7 @@ class Program:
             self._first_row.value = 0
         self._context.gl.memory_barrier()
         self._context.gl.finish()
-        self._bands.note(rows * across, (time.perf_counter() - start) * 1e3)
+        self._bands.note(rows * across, (time.perf_counter() - start) * 1e3, self._pace.band_ms)
 
     def dispatch_indirect(self, resources: Mapping[str, Any], groups: moderngl.Buffer) -> None:
         """The same, over as many work groups as three uints at the start of a buffer say."""
@@ -237,6 +238,7 @@ class Shaders:
     def __init__(self, context: Context, extra: tuple[Path, ...] = ()) -> None:
         self._context = context
         self.pace = Pace()
+        self.progress: Progress | None = None  # told of what is compiled
         self._folders = (data_folder("glsl"), *extra)
         self._sources: dict[str, Source] = {}
         self._programs: dict[tuple[str, ...], Program] = {}
@@ -287,6 +289,8 @@ class Shaders:
     def _link(
         self, name: str, sources: tuple[Source, ...], make: Callable[[], Any], named: Mapping[str, int]
     ) -> Program:
+        if self.progress is not None:
+            self.progress(f"compiling {name.partition(' ')[0]}", 0, 0)
         unread = [buffer for buffer, feature in _OPTIONAL.items() if not named.get(feature)]
         try:
             return Program(self._context, name, make(), unread, self.pace)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from glhybrid import deform, geometry, layout, motion, outputs, plan
+from glhybrid import aside, deform, geometry, layout, motion, outputs, plan
 from glhybrid.context import Context
 from glhybrid.frame import Passes
 from glhybrid.frame_constants import FrameConstants
@@ -67,6 +67,7 @@ class Staged:
     ) -> None:
         self.context, self.shaders, self.scene, self.settings, self.aovs = context, shaders, scene, settings, aovs
         self.stale = False  # shaders were changed
+        self._tuning, self._triangles = tuning, scene.triangle_count()
 
         moving = kept[1].motion if kept and kept[1] else motion.wanted(scene, settings)
         start = moving.start if moving is not None else deform.at_time(scene, settings.time, settings.clip)
@@ -76,9 +77,19 @@ class Staged:
             start, settings, software=context.device.software, clip_control=context.limits.clip_control, motion=moving,
             tuning=tuning, size=size,
         )  # fmt: skip
-        self.upload, self.mover = kept or self._upload(moving)
-        self.features = self._specialised(moving)
+        self.upload, self.mover = kept or self._upload(moving, progress)
+        try:
+            self._make(moving, scene, start, size, progress)
+        except BaseException:
+            self.release(keep_upload=kept is not None)
+            raise
 
+    def _make(
+        self, moving: motion.Motion | None, scene: Scene, start: Scene, size: tuple[int, int], progress: Progress | None
+    ) -> None:
+        """All but trees and buffers."""
+        context, shaders, settings = self.context, self.shaders, self.settings
+        self.features = self._specialised(moving)
         self.constants = FrameConstants(context, start, settings)
         self.sky = Sky(context, shaders, start.environment, self.features)
         self._own: dict[str, Any] = {}
@@ -99,16 +110,22 @@ class Staged:
         self.display = Display(context, shaders, self.constants.buffer)
         self._aov = Aov(shaders, self.upload, features)
         self._ids: Any = None  # of the pixel centres, once AOVs asked for them
-        self._stochastic = features.glossy or features.light_discs or features.occlusion
+        self.stochastic = features.glossy or features.light_discs or features.occlusion
         self._number, self._looks = 0, 0  # frames since the history began, looks since the last one
 
-    def _upload(self, moving: motion.Motion | None) -> tuple[GpuScene, Mover | None]:
+    def _upload(self, moving: motion.Motion | None, progress: Progress | None) -> tuple[GpuScene, Mover | None]:
         """Trees and buffers of the scene, and what moves them."""
         features, rebuild = self.plan.features, self.settings.rebuild
-        data = geometry.build(
-            self.drawn, self.plan.levels, tangents=features.tangents, attributes=features.extra_attributes,
-            deforming=moving.deforming if moving is not None else frozenset(),
-        )  # fmt: skip
+
+        def build() -> geometry.Geometry:
+            return geometry.build(
+                self.drawn, self.plan.levels, tangents=features.tangents, attributes=features.extra_attributes,
+                deforming=moving.deforming if moving is not None else frozenset(),
+            )  # fmt: skip
+
+        data = aside.run(build, progress, f"building trees over {self._triangles:,} triangles")
+        if progress is not None:
+            progress("uploading", 0, 0)
         upload = GpuScene(self.context, self.drawn, data, features, moving, rebuild)
         if moving is None:
             return upload, None
@@ -175,6 +192,9 @@ class Staged:
         if not spare:
             self._spare.release()
             self._spare = None
+        if settings.primary == "auto" and self._tuning is not None:
+            self.plan = plan.resized(self.plan, self._tuning, self._triangles, size)
+            self.passes.see(self.plan.primary)
 
     def holds(self, targets: Targets) -> bool:
         """Whether these images, current or spare, are not freed yet."""
@@ -245,7 +265,7 @@ class Staged:
 
     def _follow(self) -> None:
         """Tells shaders which frame this is, and what of the one before filters may use."""
-        if not self._stochastic:
+        if not self.stochastic:
             return
         kind = "NONE" if self._number == 0 or self._looks > 1 else "BEFORE" if self._looks else "SAME_VIEW"
         self.set(number=self._number, history=layout.CONSTANTS[f"HISTORY_{kind}"])
@@ -319,11 +339,11 @@ class Staged:
         return outputs.texels(self.targets.get(image), first, count)
 
     def release(self, keep_upload: bool = False) -> None:
-        for owner in (self._capture, self.probe, self.reference, self.passes, self.display, self.sky, self._spare):
+        """Also of a staging that was given up half made."""
+        owned = ("_capture", "probe", "reference", "passes", "display", "sky", "_spare", "targets", "constants")
+        for owner in (getattr(self, name, None) for name in owned):
             if owner is not None:
                 owner.release()
-        self.targets.release()
-        self.constants.release()
         if not keep_upload:
             if self.mover is not None:
                 self.mover.release()

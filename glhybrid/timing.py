@@ -11,10 +11,12 @@ Progress = Callable[[str, int, int], None]  # told of a long job: what it counts
 
 
 class Timing:
-    """Milliseconds by pass, one entry a frame. Off: run() only runs."""
+    """Milliseconds by pass, one entry a frame. Off: run() only runs. clock: seconds."""
 
-    def __init__(self, finish: Callable[[], None], enabled: bool = True) -> None:
-        self._finish = finish
+    def __init__(
+        self, finish: Callable[[], None], enabled: bool = True, clock: Callable[[], float] = time.perf_counter
+    ) -> None:
+        self._finish, self._clock = finish, clock
         self.enabled = enabled
         self._frames: list[dict[str, float]] = []
 
@@ -27,11 +29,11 @@ class Timing:
         if not self.enabled:
             return work()
         self._finish()
-        start = time.perf_counter()
+        start = self._clock()
         result = work()
         self._finish()
         row = self._frames[-1]
-        row[name] = row.get(name, 0.0) + (time.perf_counter() - start) * 1e3
+        row[name] = row.get(name, 0.0) + (self._clock() - start) * 1e3
         return result
 
     def take(self) -> dict[str, float]:

@@ -26,6 +26,7 @@ BUDGET_S = 1.0  # variants that come later than this are not tried
 FEW, MANY = 2_000, 20_000  # triangles of the two scenes
 WARM_UP_S = 0.3  # of unpaced work, after which a GPU has raised its clock
 WORTH = 1.02  # a variant replaces the first one only if it is faster by this
+VISIBILITY = "primary visibility"  # what the reason for it begins with
 _GPU = "compute reaches a GPU's memory faster than its raster units"
 
 
@@ -50,7 +51,7 @@ class Tuning:
         raster = 1e-6 * (pixels * self.raster_ns_pixel + triangles * self.raster_ns_triangle)
         trace = 1e-6 * pixels * self.trace_ns_pixel
         chosen = "raster" if raster <= trace else "trace"
-        said = f"primary visibility is {'rasterised' if chosen == 'raster' else 'traced'}: "
+        said = f"{VISIBILITY} is {'rasterised' if chosen == 'raster' else 'traced'}: "
         if self.source == "rule":
             why = "a CPU rasterises faster than it traces" if chosen == "raster" else _GPU
             return chosen, said + why

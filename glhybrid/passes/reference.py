@@ -61,10 +61,10 @@ class Reference:
         done = 0
         while done < settings.samples:
             count = min(self._at_once, settings.samples - done)
-            timing.frame()
             for number, part in enumerate(self._program.parts(resources, targets.size)):
                 if number:
                     yield done, radiance
+                timing.frame()
                 staged.set(
                     sample_first=done, sample_count=count, jitter_px=(spread, spread),
                     emissive_weight=self.emissive_weight,

@@ -3,13 +3,14 @@
 import logging
 import time as clock
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import moderngl
 import numpy as np
 
+from glhybrid import aside
 from glhybrid.errors import GlhybridError, ShaderError
 from glhybrid.image import Frame
 from glhybrid.renderer import Renderer
@@ -23,20 +24,13 @@ from glhybrid.viewer.panels import Panels
 from glhybrid.viewer.pictures import Pictures
 from glhybrid.viewer.session import Session
 from glhybrid.viewer.surface import Surface
+from glhybrid.viewer.turns import Turns
 from glhybrid.viewer.watch import PERIOD_S, Watch
 
 log = logging.getLogger("glhybrid")
 IDLE_S = 0.1  # between two looks at the input while nothing is to be drawn
 WAIT_S = 0.02  # while another process measures, or what moved may move again
 SETTLE_FRAMES = 3  # ImGui needs a few after input until all widgets have their place
-
-
-@dataclass(frozen=True)
-class Latency:
-    """Milliseconds from taking an input to presenting the first frame that shows it, and whole frames."""
-
-    answers: tuple[float, ...]
-    frames: tuple[float, ...]
 
 
 class Viewer:
@@ -57,22 +51,22 @@ class Viewer:
         self._saved = saved or {}
         self.bookmarks = store.Bookmarks(self._saved)
         self.gui = Gui(surface.context, surface)
-        self.pictures = Pictures(self.renderer, session, self._upload)
         self.controls = Controls(session, self.act, self._focus, lambda: self.panels.views())
+        self.turns = Turns(surface, self.gui, self.controls, self._take, self._present, self._stale)
+        self.renderer.shaders.progress = self.turns.progress
+        self.pictures = Pictures(self.renderer, session, self._upload, self.turns.turn, self.turns.progress)
         scale = surface.scale
-        self.panels = Panels(
-            self.gui, session, self.pictures, self.controls, self.bookmarks, lambda name: self.act(name), scale
-        )
+        self._asked: list[str] = []  # actions that the panel's buttons name
+        self.panels = Panels(self.gui, session, self.pictures, self.controls, self.bookmarks, self._asked.append, scale)
         self.overlay = Overlay(self.gui, session, self.pictures, self.controls, scale)
         self._watching = watch
         self._watch = Watch(session.scene.path if watch else None)
         self._shader_check = clock.monotonic() + PERIOD_S
         self._frame_at = clock.perf_counter()
+        self._presented_at = self._frame_at
         self._dirty = SETTLE_FRAMES
-        self._seen: tuple[int, int] = (-1, -1)
-        self._answers: list[float] = []
-        self._frames: list[float] = []
         self._caption = ""
+        self.frames = 0  # presented
 
     # The loop
 
@@ -83,12 +77,15 @@ class Viewer:
     def tick(self) -> bool:
         """One turn; whether a frame was presented."""
         drawing = self.pictures.drawing or self._dirty > 0 or self.controls.flying or self.session.transport.playing
-        waiting = 0.0 if drawing else WAIT_S if self.pictures.busy else IDLE_S
-        events = self.surface.poll(waiting if self.surface.visible else IDLE_S)
+        waiting = 0.0 if drawing or self.turns.pending or self._asked else WAIT_S if self.pictures.busy else IDLE_S
+        events, self.turns.pending = self.turns.pending, []
+        events = [*events, *self.surface.poll(waiting if self.surface.visible else IDLE_S)]
         taken = clock.perf_counter()
         self.controls.size = self.picture_size
         for event in events:
             self._take(event)
+        while self._asked:
+            self.act(self._asked.pop(0))
         seconds = min(taken - self._frame_at, 0.25)
         if self.session.transport.advance(seconds):
             self._dirty = max(self._dirty, 1)
@@ -99,19 +96,12 @@ class Viewer:
         self._frame_at = taken
         if not self.running or not self.surface.visible:
             return False  # a minimised window costs nothing
-        state = self.session.moves, self.session.edits
-        answering = state != self._seen
-        self._seen = state
         changed = self.pictures.update(self.picture_size)
+        self.turns.prepared()
         if not changed and self._dirty == 0 and not self._messages_change():
             return False
         self._dirty = max(self._dirty - 1, 0)
-        self._present(seconds)
-        took = (clock.perf_counter() - taken) * 1e3
-        self._frames.append(took)
-        if answering and events:
-            self._answers.append(took)
-        del self._frames[:-1000], self._answers[:-1000]
+        self._present()
         return True
 
     @property
@@ -120,10 +110,6 @@ class Viewer:
         width, height = self.surface.size
         return max(width - self.panels.width, 1), height
 
-    def latency(self) -> Latency:
-        """Of the last thousand frames."""
-        return Latency(tuple(self._answers), tuple(self._frames))
-
     def settle(self, patience_s: float = 600.0) -> None:
         """Runs until every picture that is looked at is finished and shown."""
         end = clock.monotonic() + patience_s
@@ -131,7 +117,7 @@ class Viewer:
         while self.running and clock.monotonic() < end and (self.pictures.busy or self._dirty):
             self.tick()
         self.pictures.settle()
-        self._present(1 / 60)
+        self._present()
 
     def _take(self, event: Event) -> None:
         if isinstance(event, Close):
@@ -145,11 +131,18 @@ class Viewer:
             free = not over_panel and not self.gui.wants_pointer
             self.controls.feed(event, free, not self.gui.wants_keys)
 
-    def _present(self, seconds: float) -> None:
+    def _stale(self) -> bool:
+        """Whether the sample that is being drawn is not worth its end."""
+        return bool(self._asked) or self.pictures.stale(self.picture_size)
+
+    def _present(self) -> None:
+        now = clock.perf_counter()
+        seconds, self._presented_at = now - self._presented_at, now
+        self.frames += 1
         canvas = self._get_canvas()
         canvas.clear(0.09, 0.092, 0.1, 1.0)
         self.gui.begin(seconds)
-        self.overlay.draw(self.picture_size, self._ramp)
+        self.overlay.draw(self.picture_size, self._ramp, self.turns.job)
         self.panels.draw(self.surface.size)
         self.gui.draw(canvas)
         caption = f"{self.session.scene.name} - glhybrid"
@@ -267,7 +260,7 @@ class Viewer:
     def open(self, source: str) -> None:
         """Another scene; what is shown stays if it cannot be read."""
         try:
-            scene = self._load(source)
+            scene = self._read(source)
         except GlhybridError as error:
             self.session.say(str(error), error=True)
             return
@@ -282,9 +275,15 @@ class Viewer:
         session.say(f"opened {source}")
         self._dirty = SETTLE_FRAMES
 
+    def _read(self, source: str) -> Scene:
+        try:
+            return aside.run(lambda: self._load(source), self.turns.progress, f"reading {Path(source).name}")
+        finally:
+            self.turns.prepared()
+
     def reload(self) -> None:
         """The same file again. Raises LoadError."""
-        self.session.swap_scene(self._load(self.session.source))
+        self.session.swap_scene(self._read(self.session.source))
         self.pictures.restart()
         self.session.say(f"reloaded {self.session.source}")
         self._dirty = SETTLE_FRAMES

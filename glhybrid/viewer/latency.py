@@ -24,9 +24,11 @@ REST_STEP_S = 0.137  # between the moments at rest at which drags begin, so that
 
 @dataclass(frozen=True)
 class Answers:
-    """Milliseconds from a motion of the pointer to the frame that shows it. drags: in motion, the first motion that each
-    frame shows. rests: the first motion while a picture refines. frames_s: in motion. shares: of each side of the
-    picture, in motion."""
+    """Milliseconds from a motion of the pointer to the frame that shows it.
+
+    drags: in motion, of the first motion that each frame shows. rests: of the first motion while a picture refines.
+    frames_s and shares of each side of the picture: in motion.
+    """
 
     drags: tuple[float, ...]
     rests: tuple[float, ...]
@@ -85,7 +87,7 @@ class Hand:
             return found
         if self._waiting is None:
             self._waiting = self._began + self._next / RATE
-        first = [self._place(0), Button(LEFT, True)] if self._next == 0 else []
+        first: list[Event] = [self._place(0), Button(LEFT, True)] if self._next == 0 else []
         moves = [self._place(step) for step in range(max(self._next, 1), due + 1)]
         self._next = due + 1
         return [*found, *first, *moves]

@@ -1,5 +1,6 @@
 """What is drawn over the picture region: the pictures themselves, divider, labels, legend, selection, messages."""
 
+import math
 import time as clock
 from typing import Any
 
@@ -10,6 +11,7 @@ from glhybrid.viewer.controls import HELP, Controls
 from glhybrid.viewer.gui import Gui
 from glhybrid.viewer.pictures import Pictures, Side
 from glhybrid.viewer.session import Session
+from glhybrid.viewer.turns import Job
 from glhybrid.viewer.views import PICTURE
 
 ACCENT, INK, DIM, BAD = 0xFF429EED, 0xFFE6E6E6, 0xFFB4B0AC, 0xFF5A6CFF  # ABGR
@@ -22,8 +24,8 @@ class Overlay:
         self._scale = scale
         self._ramps: dict[str, Any] = {}
 
-    def draw(self, size: tuple[int, int], ramp: Any) -> None:
-        """ramp(name): a palette's texture, 256 x 1."""
+    def draw(self, size: tuple[int, int], ramp: Any, job: Job | None = None) -> None:
+        """ramp(name): a palette's texture, 256 x 1. job: what is being prepared."""
         imgui = self._gui.imgui
         under, over = imgui.get_background_draw_list(), imgui.get_background_draw_list()
         width, height = size
@@ -33,6 +35,8 @@ class Overlay:
         self._labels(over, width)
         self._legend(over, height, ramp)
         self._messages(over, width, height)
+        if job is not None and job.shown:
+            self._preparation(over, width, height, job)
         under.pop_clip_rect()
         if self._session.help:
             self._help()
@@ -180,6 +184,30 @@ class Overlay:
             tall = (imgui.get_text_line_height() + 2 * self._scale) * len(lines) + 12 * self._scale
             y -= tall + 6 * self._scale
             self._label(paint, width - 10 * self._scale, y, lines, right=True)
+
+    def _preparation(self, paint: Any, width: int, height: int, job: Job) -> None:
+        """A bar in the middle; it runs to and fro where nobody knows how much there is."""
+        imgui, s = self._gui.imgui, self._scale
+        line, pad = imgui.get_text_line_height(), 12 * s
+        hint = "Esc ends it"
+        wide = max(imgui.calc_text_size(job.what).x, imgui.calc_text_size(hint).x, 260 * s) + 2 * pad
+        tall = 2 * line + 10 * s + 3 * pad
+        x, y = (width - wide) / 2, (height - tall) / 2
+        paint.add_rect_filled((x, y), (x + wide, y + tall), 0xE8181614, 6 * s)
+        paint.add_text((x + pad, y + pad), INK, job.what)
+        left, right, top = x + pad, x + wide - pad, y + 1.5 * pad + line
+        paint.add_rect_filled((left, top), (right, top + 8 * s), 0xFF383532, 4 * s)
+        if job.total > 0:
+            part = left, left + (right - left) * min(job.done / job.total, 1.0)
+        else:
+            at = 0.5 - 0.5 * math.cos(2.0 * (clock.monotonic() - job.since))
+            start = left + 0.75 * (right - left) * at
+            part = start, start + 0.25 * (right - left)
+        paint.add_rect_filled((part[0], top), (part[1], top + 8 * s), ACCENT, 4 * s)
+        seconds = f"{clock.monotonic() - job.since:.0f} s"
+        under = top + 8 * s + 0.6 * pad
+        paint.add_text((left, under), DIM, hint)
+        paint.add_text((right - imgui.calc_text_size(seconds).x, under), DIM, seconds)
 
     def _help(self) -> None:
         imgui, s = self._gui.imgui, self._scale

@@ -2,17 +2,19 @@
 
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from statistics import median
 from typing import Any
 
 import moderngl
 import numpy as np
 
+from glhybrid.pace import Interrupted
 from glhybrid.renderer import Renderer
 from glhybrid.scene import F32, Camera, Scene
 from glhybrid.settings import Settings
 from glhybrid.staged import Staged
-from glhybrid.timing import Timing
+from glhybrid.timing import Progress, Timing
 from glhybrid.view import View, make_view
 
 WINDOW = 120  # samples that medians and graphs are of
@@ -21,10 +23,11 @@ WINDOW = 120  # samples that medians and graphs are of
 class Picture:
     """done of total samples. ms: milliseconds by pass, the last WINDOW samples at full size."""
 
-    def __init__(self, renderer: Renderer, retire: Callable[[Staged], None]) -> None:
-        """retire: told of a staging that this picture uses no more."""
-        self._renderer, self._retire = renderer, retire
-        self._timing = Timing(renderer.context.gl.finish)
+    def __init__(self, renderer: Renderer, retire: Callable[[Staged], None], progress: Progress | None = None) -> None:
+        """retire: told of a staging that this picture uses no more. progress: of preparations."""
+        self._renderer, self._retire, self._progress = renderer, retire, progress
+        self._pace = renderer.shaders.pace
+        self._timing = Timing(renderer.context.gl.finish, clock=self._pace.clock)
         self.staged: Staged | None = None
         self.view: View | None = None
         self.done = self.total = 0
@@ -36,8 +39,8 @@ class Picture:
         self._radiance: Any = None
         self._into: Any = None  # the images that it is in
         self._shown: tuple[Any, ...] | None = None
-        self._array_of: tuple[Any, ...] | None = None
         self._warm = False
+        self._times: dict[str, float] = {}  # of the sample that is being drawn
 
     def begin(
         self, scene: Scene, settings: Settings, camera: Camera | int | None, size: tuple[int, int],
@@ -66,11 +69,11 @@ class Picture:
         """The staging, current, at the size and under the light that is wanted. Raises as Renderer.stage does."""
         assert self._wanted is not None
         scene, settings, camera, size, aovs = self._wanted
-        staged = self._renderer.stage(scene, settings, size, aovs)
+        staged = self._renderer.stage(scene, settings, size, aovs, self._progress)
         if staged is not self.staged or self._samples is None:
             self.view = staged.aim(settings, camera)
             if staged.outgrown:
-                staged = self._renderer.stage(scene, settings, size, aovs)
+                staged = self._renderer.stage(scene, settings, size, aovs, self._progress)
                 self.view = staged.aim(settings, camera)
             old, self.staged, self.size, self.done = self.staged, staged, size, 0
             if staged is not old:
@@ -78,23 +81,42 @@ class Picture:
                 if old is not None:
                     self._retire(old)
             self._timing.take()
+            self._times = {}
             self._samples = staged.refine(self._timing)
-            self._array_of = None
         return staged
 
-    def step(self, full: bool = True) -> float:
-        """One more sample; returns its milliseconds. full: at full size, so that the time counts in `ms`."""
+    def step(self, full: bool = True, turn: Callable[[], None] | None = None) -> float:
+        """One more sample, or of a long one a part; returns its milliseconds, 0 until it is whole.
+
+        full: at full size, so that the time counts in `ms`. turn: called now and then, in a sample too; where it raises
+        Interrupted the picture begins anew with the next step.
+        """
         staged = self._ready()
         assert self._samples is not None
-        self.done, self.total, self._radiance = next(self._samples)
-        times = (staged.mover.ms if staged.mover is not None and self.done == 1 else {}) | self._timing.take()
+        with self._turns(turn):
+            done, self.total, radiance = next(self._samples)
+        for name, value in self._timing.take().items():
+            self._times[name] = self._times.get(name, 0.0) + value
+        if done == self.done:
+            return 0.0
+        self.done, self._radiance, self._into = done, radiance, staged.targets
+        times, self._times = (staged.mover.ms if staged.mover is not None and done == 1 else {}) | self._times, {}
         self.last_ms = sum(times.values())
         if full and self._warm:
             for name, value in times.items():
                 self.ms.setdefault(name, deque(maxlen=WINDOW)).append(value)
         self._warm = True  # the first one also compiles
-        self._into = staged.targets
         return self.last_ms
+
+    @contextmanager
+    def _turns(self, turn: Callable[[], None] | None) -> Iterator[None]:
+        """Gives turns in what is drawn; where that is given up, what is shown stays until there is another sample."""
+        try:
+            with self._pace.turns(turn):
+                yield
+        except Interrupted:
+            self._samples, self.done = None, 0
+            raise
 
     def medians(self) -> dict[str, float]:
         return {name: median(values) for name, values in self.ms.items() if values}
@@ -106,7 +128,7 @@ class Picture:
         """
         if self.staged is None or self._radiance is None or not self.staged.holds(self._into):
             return None
-        if self._into is not self.staged.targets:  # another size is made ready: what was shown last stays
+        if self._into is not self.staged.targets or not self.done:  # another is begun: what was shown last stays
             return self._shown[-1] if self._shown else None
         staged, settings = self.staged, self._wanted[1] if self._wanted else self.staged.settings
         key = self._into, self.done, settings.exposure, settings.tone, exposure_ev
@@ -139,13 +161,23 @@ class Picture:
         image = self._radiance
         return np.frombuffer(image.read(), np.float32).reshape(image.height, image.width, 4)[::-1, :, :3]
 
-    def array(self, name: str) -> np.ndarray:
-        """An AOV, or an image of a pass by its channel's name; (H, W, ...), row 0 at the top."""
+    def array(self, name: str, turn: Callable[[], None] | None = None) -> np.ndarray:
+        """An AOV, or an image of a pass by its channel's name; (H, W, ...), row 0 at the top. turn: as of step()."""
         staged = self._ready()
+        self._disturb(staged)
+        with self._turns(turn):
+            return self._array(staged, name, turn)
+
+    def _disturb(self, staged: Staged) -> None:
+        """Something else is drawn between two samples: a picture whose random sequence that breaks begins anew."""
+        if staged.stochastic and not self.finished:
+            self._samples, self.done = None, 0
+
+    def _array(self, staged: Staged, name: str, turn: Callable[[], None] | None) -> np.ndarray:
         assert self.view is not None
         if name == "radiance":
-            if self._radiance is None or self.done == 0:
-                self.step()
+            while self._radiance is None or self.done == 0:
+                self.step(turn=turn)
             return self.radiance()
         from glhybrid.image import AOVS
 
@@ -161,6 +193,7 @@ class Picture:
         """AOVs (1, 1, ...) of the one pixel of a camera, without a trace in the picture."""
         scene, settings, size, aovs = self._staging()
         staged = self._renderer.stage(scene, settings, (1, 1), aovs)
+        self._disturb(staged)
         view = make_view(camera, (1, 1), staged.drawn, self._renderer.context.limits.clip_control, staged.bounds)
         staged.look(view)
         try:

@@ -9,10 +9,12 @@ from functools import lru_cache
 from typing import Any, Literal
 
 from glhybrid.errors import GlhybridError
+from glhybrid.pace import Interrupted
 from glhybrid.renderer import Renderer
 from glhybrid.scene import U8
 from glhybrid.settings import Settings
 from glhybrid.staged import Staged
+from glhybrid.timing import Progress
 from glhybrid.viewer import views
 from glhybrid.viewer.budget import GPU_MS, REST_S, SOFTWARE_MS, Budget, scaled
 from glhybrid.viewer.measure import Measure
@@ -21,6 +23,8 @@ from glhybrid.viewer.session import Session
 from glhybrid.viewer.views import PICTURE
 
 Side = Literal["a", "b", "reference"]
+LONG_MS = 60.0  # a sample that takes longer is drawn in parts, with looks at the input in between
+GPU_BAND_MS = 12.0  # of such a part on a GPU, whose frames in motion are short too
 SLICE_MS = 25.0  # of samples between two looks at the input, at rest: more than one only where they are cheap
 STAGED_AOVS = ("reason", "motion")  # need programs of their own
 SIDES: tuple[Side, ...] = ("a", "b", "reference")
@@ -29,11 +33,20 @@ SIDES: tuple[Side, ...] = ("a", "b", "reference")
 class Pictures:
     """update() draws what is due; image() and layers are what to show."""
 
-    def __init__(self, renderer: Renderer, session: Session, texture: Callable[[str, U8], Any]) -> None:
-        """texture(name, rgb): uploads an image (H, W, 3) under a name and returns the texture."""
-        self.renderer, self.session = renderer, session
-        self.sides: dict[Side, Picture] = {side: Picture(renderer, self._retire) for side in SIDES}
-        self.budget = Budget(SOFTWARE_MS if renderer.context.device.software else GPU_MS)
+    def __init__(
+        self, renderer: Renderer, session: Session, texture: Callable[[str, U8], Any],
+        turn: Callable[[], None] | None = None, progress: Progress | None = None,
+    ) -> None:  # fmt: skip
+        """texture(name, rgb): uploads an image (H, W, 3) under a name and returns the texture.
+
+        turn: called now and then while a long sample is drawn; raises Interrupted to end it. progress: of preparations.
+        """
+        self.renderer, self.session, self._turn = renderer, session, turn
+        self.sides: dict[Side, Picture] = {side: Picture(renderer, self._retire, progress) for side in SIDES}
+        self._software = renderer.context.device.software
+        self.budget = Budget(SOFTWARE_MS if self._software else GPU_MS)
+        if not self._software:
+            renderer.shaders.pace.band_ms = GPU_BAND_MS
         self.measure = Measure(session, texture)
         self.size = (1, 1)
         self.scale = 1.0
@@ -47,6 +60,7 @@ class Pictures:
         self._moving = False
         self._begun: dict[Side, Any] = {}
         self._stuck: Any = None
+        self._looks: tuple[Any, ...] = ()  # of arrays, at the last update
 
     # What is to be drawn
 
@@ -106,7 +120,7 @@ class Pictures:
         """
         session, now = self.session, clock.monotonic()
         self.size = size
-        key = tuple(self._what(self._as(side)) for side in self.shown())
+        key, self._looks = self._key(), (session.show, session.light_shown)
         if self._stuck == key:
             return False  # nothing has changed since nothing could be drawn
         if self._drawn != key:
@@ -119,9 +133,23 @@ class Pictures:
             self._good = {"a": session.a, "b": session.b}
             self._stuck = None
             return changed
+        except Interrupted:
+            return False
         except GlhybridError as error:
             self._recover(error)
             return True
+
+    def stale(self, size: tuple[int, int]) -> bool:
+        """Whether something else is looked at than when the last update() began."""
+        return (size, self._drawn, self._looks) != (
+            self.size, self._key(), (self.session.show, self.session.light_shown)
+        )  # fmt: skip
+
+    def _key(self) -> tuple[Any, ...]:
+        return tuple(self._what(self._as(side)) for side in self.shown())
+
+    def _turn_for(self, picture: Picture) -> Callable[[], None] | None:
+        return self._turn if self._software or picture.last_ms > LONG_MS else None
 
     def _what(self, side: Side) -> tuple[Any, ...]:
         """All that a side's picture depends on, but for how large it is drawn."""
@@ -147,10 +175,11 @@ class Pictures:
         if self._moving:
             return self._in_motion() or changed
         while (due := self._next()) is not None:
-            ms = self.sides[due].step()
-            if due != "reference":
+            picture = self.sides[due]
+            ms = picture.step(turn=self._turn_for(picture))
+            if ms and due != "reference":
                 self.budget.note(ms, 1.0)
-            changed = True
+            changed |= ms > 0
             if (clock.monotonic() - now) * 1e3 > SLICE_MS:
                 break
         return self._measure() or changed
@@ -185,7 +214,7 @@ class Pictures:
             if self._arrays.get(side, (None,))[0] == key:
                 continue
             start = clock.perf_counter()
-            array = self.picture(side).array(session.show)
+            array = self.picture(side).array(session.show, None if self._moving else self._turn_for(self.picture(side)))
             names = {
                 "instance_id": [i.name or session.scene.meshes[i.mesh].name for i in session.scene.instances],
                 "material_id": [m.name for m in session.scene.materials],

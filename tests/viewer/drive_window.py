@@ -97,16 +97,16 @@ def main() -> dict[str, Any]:
     viewer.settle()
     found["resized on screen"] = bool(np.array_equal(on_screen(viewer), viewer.canvas_rgb()))
 
-    frames = len(viewer._frames)
+    frames = viewer.frames
     glfw.iconify_window(window.handle)
     found["minimised"] = until(viewer, lambda: not window.visible)
     session.moved()
-    frames = len(viewer._frames)
+    frames = viewer.frames
     for _ in range(5):
         viewer.tick()
-    found["nothing drawn while minimised"] = len(viewer._frames) == frames
+    found["nothing drawn while minimised"] = viewer.frames == frames
     glfw.restore_window(window.handle)
-    found["restored"] = until(viewer, lambda: window.visible and len(viewer._frames) > frames)
+    found["restored"] = until(viewer, lambda: window.visible and viewer.frames > frames)
     viewer.settle()
     found["errors"] = window.context.raw.errors() + [s.text for s in session.said if s.error]
     xdotool("key", "alt+F4")  # the window manager asks the window to close
