@@ -33,4 +33,10 @@ class Budget:
 
 
 def scaled(size: tuple[int, int], scale: float) -> tuple[int, int]:
-    return max(round(size[0] * scale), 1), max(round(size[1] * scale), 1)
+    """Powers of two are avoided: llvmpipe compiles every program anew, for seconds, where an image becomes one."""
+    width, height = (max(round(side * scale), 1) for side in size)
+    return (width, height) if scale == 1 else (_uneven(width), _uneven(height))
+
+
+def _uneven(side: int) -> int:
+    return side + 1 if side & (side - 1) == 0 else side

@@ -1,4 +1,4 @@
-"""What is under a pixel: the AOVs of a picture of that one pixel, through a camera that looks along its ray."""
+"""What is under a pixel: the AOVs of a picture of few, through a camera that looks along its ray: the middle one's."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import numpy as np
 from glhybrid.image import NO_ID
 from glhybrid.scene import Camera
 from glhybrid.view import View
-from glhybrid.viewer.picture import Picture
+from glhybrid.viewer.picture import PROBE, Picture
 from glhybrid.viewer.session import Picked
 
 PROBED = (
@@ -16,22 +16,22 @@ PROBED = (
 
 
 def pixel_camera(view: View, pixel: tuple[float, float]) -> Camera:
-    """A camera whose only pixel is the one at (x, y) from the top left of a view: the same ray, the same footprint."""
+    """A camera whose middle pixel of PROBE is that of a view at (x, y), from the top left: the same ray and size."""
     width, height = view.size
     ndc = 2 * (pixel[0] + 0.5) / width - 1, 1 - 2 * (pixel[1] + 0.5) / height
     camera, eye = view.camera, view.origin + view.eye
     pose = camera.world_from_view.copy()
     if view.orthographic:
         pose[:3, 3] = eye + ndc[0] * view.right + ndc[1] * view.up
-        half = float(np.linalg.norm(view.up)) / height
-        return replace(camera, world_from_view=pose, ymag=half, xmag=float(np.linalg.norm(view.right)) / width)
+        half, wide = (PROBE * float(np.linalg.norm(a)) / n for a, n in ((view.up, height), (view.right, width)))
+        return replace(camera, world_from_view=pose, ymag=half, xmag=wide)
     forward = view.forward + ndc[0] * view.right + ndc[1] * view.up
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, pose[:3, 1])
     right = right / np.linalg.norm(right)
     pose[:3, 0], pose[:3, 1], pose[:3, 2] = right, np.cross(right, forward), -forward
     near = camera.near / float(forward @ view.forward)
-    fov = 2 * float(np.arctan(view.pixel_angle / 2))
+    fov = 2 * float(np.arctan(PROBE * view.pixel_angle / 2))
     return replace(camera, world_from_view=pose, fov_y=fov, fov_short=False, near=near)
 
 

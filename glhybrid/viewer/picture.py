@@ -17,6 +17,7 @@ from glhybrid.staged import Staged
 from glhybrid.timing import Progress, Timing
 from glhybrid.view import View, make_view
 
+PROBE = 3  # pixels: powers of two, such as 1, llvmpipe compiles every program anew for
 WINDOW = 120  # samples that medians and graphs are of
 
 
@@ -190,14 +191,16 @@ class Picture:
         return staged.targets.read(name)
 
     def probe(self, camera: Camera, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-        """AOVs (1, 1, ...) of the one pixel of a camera, without a trace in the picture."""
+        """AOVs (1, 1, ...) of the middle pixel of a camera's PROBE by PROBE, without a trace in the picture."""
         scene, settings, size, aovs = self._staging()
-        staged = self._renderer.stage(scene, settings, (1, 1), aovs)
+        spot = PROBE, PROBE
+        staged = self._renderer.stage(scene, settings, spot, aovs)
         self._disturb(staged)
-        view = make_view(camera, (1, 1), staged.drawn, self._renderer.context.limits.clip_control, staged.bounds)
+        view = make_view(camera, spot, staged.drawn, self._renderer.context.limits.clip_control, staged.bounds)
         staged.look(view)
         try:
-            return {name: staged.aov(name, view) for name in names}
+            middle = slice(PROBE // 2, PROBE // 2 + 1)
+            return {name: staged.aov(name, view)[middle, middle] for name in names}
         finally:
             self._renderer.stage(scene, settings, size, aovs)
             if self.view is not None:

@@ -34,9 +34,10 @@ def test_bands_are_the_whole(context: Context, chosen: dict[str, Any]) -> None:
             staged = renderer.stage(scene, settings, SIZE)
             staged.aim(settings, 0)
             with renderer.shaders.pace.turns(given):
-                found.append(staged.accumulate(Timing(context.gl.finish), lambda *_: turn()).read())
+                progress = (lambda *_: turn()) if given else None
+                found.append(staged.accumulate(Timing(context.gl.finish), progress).read())
     assert found[0] == found[1]
-    assert turns > 8  # a program begins with one row of tiles of eight, then takes four at most
+    assert turns >= 5  # a program begins with one row of tiles of eight, then takes four at most
 
 
 def test_an_interrupted_picture_can_be_drawn_again(context: Context) -> None:
