@@ -317,11 +317,14 @@ CHANNELS: dict[str, Channel] = {
             for name, parts, kind, form, meaning in (
                 ("guide", 4, "u4", "rgba32ui", "normal, depth along the view axis, row of records, roughness"),
                 ("reflection_history", 4, "f4", "rgba32f", "mean of all frames; over how many m it changes"),
-                ("reflection_moments", 2, "f2", "rg16f", "rays; their mean square luminance over squared mean"),
+                ("reflection_counts", 1, "f2", "r16f", "rays"),
+                ("reflection_level", 2, "f4", "rg32f", "luminance about each pixel, its variance"),
                 ("reflection_coat_history", 4, "f4", "rgba32f", "the same of the clearcoat"),
-                ("reflection_coat_moments", 2, "f2", "rg16f", ""),
+                ("reflection_coat_counts", 1, "f2", "r16f", ""),
+                ("reflection_coat_level", 2, "f4", "rg32f", ""),
                 ("visibility_history", 4, "f4", "rgba32f", "the same of lights, a layer a light"),
-                ("visibility_moments", 2, "f2", "rg16f", ""),
+                ("visibility_counts", 1, "f2", "r16f", ""),
+                ("visibility_level", 2, "f4", "rg32f", ""),
             )
         ),
         Channel("denoise_moved", 4, "f4", "rgba32f", "how far the point has come since the frame before, m"),

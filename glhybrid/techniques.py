@@ -75,7 +75,7 @@ _RADIUS = Parameter("radius", 1.0, "m: what is farther does not occlude", 1e-6, 
 _FILTER = (
     Parameter("denoise", True, "filter the noise over frames and pixels"),
     Parameter("history", 32, "frames that count, at most", 1, 1024, sweep=()),
-    Parameter("iterations", 4, "steps of the filter over pixels, each twice as wide", 1, 8, sweep=()),
+    Parameter("iterations", 3, "steps of the filter over pixels, each twice as wide", 1, 8, sweep=()),
 )
 _PLANE = Parameter("receiver_plane", True, "each tap is compared with the depth of the receiver's plane there")
 

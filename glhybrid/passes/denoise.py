@@ -1,10 +1,14 @@
 """Filters noisy images over time and space: soft shadows light by light, glossy reflections lobe by lobe.
 
 One guide a frame (normals, depths, ids, roughness); then for each signal one dispatch that gathers what earlier frames
-know, and a few of a wavelet filter. Images of a signal are made when it is first filtered.
+know, one that finds how bright it is about each pixel, and a few of a wavelet filter that compares pixels by that.
+Images of a signal are made when it is first filtered.
 
 Chosen: exact counts of samples and their measured variance steer everything, so that a converged image passes through
-unchanged. Rejected: a fixed blend factor and blur radii by roughness alone, which blur what needs no filter.
+unchanged. Rejected: a fixed blend factor and blur radii by roughness alone, which blur what needs no filter; pixels
+compared by their own few samples, which leaves the rarest of these as specks and edges torn; rays of neighbours
+weighted by densities (Stachowiak 2015), whose sky shines under what stands on a floor: 1.6 % of bias, half as much
+error again.
 """
 
 from typing import Any
@@ -35,6 +39,7 @@ class Denoise:
             named = features.replace(denoise_signal=SIGNALS[signal])
             self._programs[signal] = (
                 shaders.compute("denoise_temporal", named),
+                shaders.compute("denoise_level", named),
                 shaders.compute("denoise_atrous", named),
                 shaders.compute("denoise_atrous", named.replace(denoise_last=True)),
             )
@@ -71,13 +76,14 @@ class Denoise:
         def get(part: str, before: bool = False) -> Any:
             return targets.get(self._now(f"{signal}_{part}", before), layers=layers)
 
-        temporal, step, last = self._programs[signal]
+        temporal, level, step, last = self._programs[signal]
         ping, pong = targets.get("denoise_ping"), targets.get("denoise_pong")
         resources = {
             **self._scene.resources, **more, "guide": targets.get(self._now("guide")),
             "guide_before": targets.get(self._now("guide", before=True)), "signal": image,
-            "history": get("history", before=True), "moments": get("moments", before=True),
-            "out_history": get("history"), "out_moments": get("moments"), "out_filtered": ping,
+            "history": get("history", before=True), "counts": get("counts", before=True),
+            "level_before": get("level", before=True),
+            "out_history": get("history"), "out_counts": get("counts"), "out_filtered": ping,
             "history_frames": float(self._parameter(signal, "history")),
             "samples": float(self._parameter(signal, "samples")),
         }  # fmt: skip
@@ -85,6 +91,8 @@ class Denoise:
             resources["moved"] = targets.get("denoise_moved")
         temporal.dispatch(resources, targets.size)
         resources["history"], resources["out_signal"] = get("history"), image
+        level.dispatch(resources | {"filtered": ping, "out_level": get("level")}, targets.size)
+        resources["level"] = get("level")
         count = self._parameter(signal, "iterations")
         for i in range(count):
             resources |= {"filtered": ping, "out_filtered": pong, "stride": 1 << i}

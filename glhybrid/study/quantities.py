@@ -405,7 +405,11 @@ def _ramp(profile: Any) -> float:
     curve -= curve.mean(-1, keepdims=True)
     flat = profile - profile.mean()
     explained = (curve @ flat) ** 2 / np.maximum((curve * curve).sum(-1), 1e-12)
-    return float(width[np.unravel_index(explained.argmax(), explained.shape)[0], 0, 0])
+    best = explained.max(1)
+    k = int(np.clip(best.argmax(), 1, len(best) - 2))
+    low, middle, high = best[k - 1 : k + 2]
+    shift = 0.5 * (low - high) / (low - 2 * middle + high) if low + high < 2 * middle else 0.0
+    return float(width[k, 0, 0] * (width[1, 0, 0] / width[0, 0, 0]) ** np.clip(shift, -1, 1))
 
 
 # Ambient occlusion ----------------------------------------------------------------------------------------------

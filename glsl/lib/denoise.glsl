@@ -62,3 +62,7 @@ float alike(Guide a, Guide b) {
     float rougher = IS_VISIBILITY ? 0.0 : square((b.roughness - a.roughness) / (0.1 * a.roughness + 0.005));
     return exp(-(slope2 / square(0.1) + turned + rougher));
 }
+
+// Of the pixels whose mean stands for how bright it is about one.
+const int LEVEL_REACH = 2;
+float level_weight(int x, int y) { return exp(-float(x * x + y * y) / 8.0); }

@@ -4,7 +4,8 @@
 // by an offset of its own (Cranley & Patterson 1976). Over pixels: the offsets are Sobol's first two dimensions along the
 // Morton order of pixels, so that each aligned block of 2^k x 2^k of them holds a (0, 2k, 2)-net (Ahmed & Wonka,
 // "Screen-Space Blue-Noise Diffusion of Monte Carlo Sampling Error", 2020), Owen-scrambled by hashing (Burley,
-// "Practical Hash-based Owen Scrambling", JCGT 9(4) 2020), which leaves every point uniform: nothing is biased.
+// "Practical Hash-based Owen Scrambling", JCGT 9(4) 2020), which leaves every point uniform: nothing is biased. The order
+// is scrambled the same way, from the largest blocks down: blocks differ, and no lattice of pixels shows.
 #include "lib/random.glsl"
 
 // Owen scrambling of bit-reversed digits, by Laine & Karras.
@@ -36,7 +37,8 @@ uint morton(uvec2 p) {
 
 // Where the points of a pixel start, for one use of them.
 uvec2 sequence_start(ivec2 px, uint use, uint seed) {
-    uint key = pcg(use ^ pcg(seed)), index = morton(uvec2(px));
+    uint key = pcg(use ^ pcg(seed));
+    uint index = bitfieldReverse(owen_reversed(bitfieldReverse(morton(uvec2(px))), pcg(key + 1u)));
     return bitfieldReverse(uvec2(owen_reversed(index, key), owen_reversed(pascal(index), pcg(key))));
 }
 

@@ -1,10 +1,11 @@
-// passes/denoise_atrous.comp -- one step of an edge-avoiding wavelet filter (Dammertz et al., HPG 2010), whose reach in
-// values is the signal's own standard deviation (Schied et al. 2017): what is known well is left alone. Its reach in space
-// is a share of the length over which the truth changes, so that contacts stay sharp.
+// passes/denoise_atrous.comp -- one step of an edge-avoiding wavelet filter (Dammertz et al., HPG 2010). Pixels count by how
+// far their levels (passes/denoise_level.comp) are apart, in standard deviations (Schied et al. 2017): what is known well is
+// left alone. Its reach in space is a share of the length over which the truth changes, so that contacts stay sharp.
 #include "lib/denoise.glsl"
 #include "lib/tile.glsl"
 
 uniform sampler2D filtered;              // mean; a: variance of its luminance, < 0: not to be touched
+uniform SIGNAL_SAMPLER level;            // luminance about each pixel, its variance
 uniform SIGNAL_SAMPLER history;          // a: length over which the truth changes, m
 uniform int stride;
 #if USE_DENOISE_LAST
@@ -15,9 +16,10 @@ layout(rgba32f) writeonly uniform image2D out_filtered;
 
 const float KERNEL[3] = float[](0.375, 0.25, 0.0625);    // cubic B-spline
 
-const float LENGTH_SHARE = 1.0;
-const float LEAST_PIXELS = 1.0;
-const float DEVIATIONS = 5.0;
+const float LENGTH_SHARE = IS_VISIBILITY ? 1.0 : 2.0;
+const float LEAST_PIXELS = 2.0;
+const float LEVEL_DEVIATIONS = 2.0;
+const float DEVIATIONS = 6.0;            // of one pixel's own mean: only what no chance explains
 
 void main() {
     ivec2 px = tile_pixel();
@@ -28,7 +30,11 @@ void main() {
         Guide g = unpack_guide(texelFetch(guide, px, 0), vec2(px));
         float width = pixel_width(g.depth);
         float len = max(LENGTH_SHARE * texelFetch(history, AT(px), 0).a, LEAST_PIXELS * width);
-        float m = luminance(center.rgb), deviation = DEVIATIONS * sqrt(center.a) + 1e-6 * m;
+        float m = luminance(center.rgb);
+        vec2 about = texelFetch(level, AT(px), 0).xy;
+        float least = square(1e-5 * about.x) + 1e-30;
+        // What a lobe shows slides along the surface as if across the view: a mirrored view is as slanted as the view.
+        vec3 v = IS_VISIBILITY ? vec3(0.0) : frame.orthographic == 1u ? -frame.forward_ws : normalize(frame.eye_ws - g.position);
         if (len > 0.3 * float(stride) * width) {
             float weight = square(KERNEL[0]);
             result = center * vec4(vec3(weight), square(weight));
@@ -40,8 +46,12 @@ void main() {
                     if (c.a < 0.0) continue;
                     Guide there = unpack_guide(texelFetch(guide, q, 0), vec2(q));
                     vec3 d = there.position - g.position;
-                    float w = KERNEL[abs(x)] * KERNEL[abs(y)] * alike(g, there)
-                            * exp(-0.5 * dot(d, d) / square(len) - abs(luminance(c.rgb) - m) / deviation);
+                    float d2 = dot(d, d) - square(dot(d, v));
+                    vec2 other = texelFetch(level, AT(q), 0).xy;
+                    float apart = 0.5 * d2 / square(len)
+                                + square(other.x - about.x) / (square(LEVEL_DEVIATIONS) * (other.y + about.y) + least)
+                                + square(luminance(c.rgb) - m) / (square(DEVIATIONS) * (c.a + center.a) + least);
+                    float w = KERNEL[abs(x)] * KERNEL[abs(y)] * alike(g, there) * exp(-apart);
                     result += c * vec4(vec3(w), square(w));
                     weight += w;
                 }

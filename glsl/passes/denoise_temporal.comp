@@ -11,20 +11,20 @@ uniform SIGNAL_SAMPLER signal;           // mean of this frame's samples; a: dis
 uniform sampler2D noise;                 // mean square over squared mean, samples
 #endif
 uniform SIGNAL_SAMPLER history;          // mean; a: length over which the truth changes, m
-uniform SIGNAL_SAMPLER moments;          // samples, mean square over squared mean
+uniform SIGNAL_SAMPLER counts;           // samples in it
+uniform SIGNAL_SAMPLER level_before;     // luminance about each pixel, its variance
 uniform usampler2D guide_before;
 #if USE_MOVING
 uniform sampler2D moved;
 #endif
 layout(SIGNAL_FORMAT) writeonly uniform SIGNAL_IMAGE out_history;
-layout(rg16f) writeonly uniform SIGNAL_IMAGE out_moments;
+layout(r16f) writeonly uniform SIGNAL_IMAGE out_counts;
 layout(rgba32f) writeonly uniform image2D out_filtered;    // mean; a: variance of its luminance, < 0: not to be touched
 uniform float history_frames, samples;
 
-const int REACH = 2;                     // pixels about this one that are asked what is likely
-
-// This frame's samples about the pixel. All of luminance; variance: of one sample, within pixels if these hold several.
-struct Near { float mean, spread, variance, extent, distance, weight; };
+// This frame's samples about the pixel. All of luminance; variance: of one sample, within pixels if these hold several;
+// worth: how many equal pixels would be as good.
+struct Near { float mean, variance, extent, distance, worth; };
 
 bool has_signal(vec4 s) { return IS_VISIBILITY ? s.a >= 0.0 : s.a > 0.0; }
 
@@ -47,33 +47,32 @@ float length_of(vec4 s, Guide g) {
 }
 
 Near look_around(ivec2 px, Guide g) {
-    float sum = 0.0, square_of_means = 0.0, squares = 0.0, within = 0.0, nearness = 0.0, weight = 0.0, known = 0.0, counts = 0.0, inverse = 0.0;
-    for (int y = -REACH; y <= REACH; y++)
-        for (int x = -REACH; x <= REACH; x++) {
+    float sum = 0.0, squares = 0.0, within = 0.0, nearness = 0.0, weight = 0.0, weights2 = 0.0, known = 0.0, several = 0.0, inverse = 0.0;
+    for (int y = -LEVEL_REACH; y <= LEVEL_REACH; y++)
+        for (int x = -LEVEL_REACH; x <= LEVEL_REACH; x++) {
             ivec2 q = px + ivec2(x, y);
             if (!inside(q)) continue;
             uvec4 bits = texelFetch(guide, q, 0);
             vec4 s = texelFetch(signal, AT(q), 0);
             if (!is_surface(bits) || !has_signal(s)) continue;
-            float w = x == 0 && y == 0 ? 1.0 : alike(g, unpack_guide(bits, vec2(q)));
+            float w = x == 0 && y == 0 ? 1.0 : level_weight(x, y) * alike(g, unpack_guide(bits, vec2(q)));
             if (w < 0.01) continue;
             vec2 n = noise_of(q, s);
             float m = luminance(s.rgb);
             sum += w * m;
-            square_of_means += w * m * m;
             squares += w * n.x * m * m;
-            if (n.y > 1.0) { within += w * max(n.x - 1.0, 0.0) * m * m * n.y / (n.y - 1.0); counts += w; }
+            if (n.y > 1.0) { within += w * max(n.x - 1.0, 0.0) * m * m * n.y / (n.y - 1.0); several += w; }
             weight += w;
+            weights2 += w * w;
             inverse += w / max(s.a, 1e-30);
             float len = length_of(s, g);
             if (len > 0.0) { nearness += w / len; known += w; }
         }
     Near near;
-    near.weight = weight;
+    near.worth = square(weight) / weights2;
     near.mean = sum / weight;
-    near.spread = max(square_of_means / weight - square(near.mean), 0.0);
     near.variance = max(squares / weight - square(near.mean), 0.0);
-    if (counts > 0.5 * weight && !IS_VISIBILITY) near.variance = within / counts;
+    if (several > 0.5 * weight && !IS_VISIBILITY) near.variance = within / several;
     near.extent = nearness > 0.0 ? known / nearness : 0.0;
     near.distance = min(weight / max(inverse, 1e-30), 1e15);
     return near;
@@ -91,18 +90,20 @@ float mirror_share(float roughness, float NoV) {
     return clamp(pow(1.0 - NoV, 10.8649) * (1.0 - a) + a, 0.0, 1.0);
 }
 
-struct Past { vec4 mean; float squares, samples, frames; };    // frames: how many may count
+// level: luminance about the point; variance: of one sample there; frames: how many may count.
+struct Past { vec4 mean; float level, variance, samples, frames; };
 
 Past look_back(ivec2 px, Guide g, Near near) {
-    Past past = Past(vec4(0.0), 0.0, 0.0, history_frames - 1.0);
+    Past past = Past(vec4(0.0), 0.0, 0.0, 0.0, history_frames - 1.0);
     if (frame.history == HISTORY_NONE) return past;
     if (frame.history == HISTORY_SAME_VIEW) {
         uvec4 bits = texelFetch(guide_before, px, 0);
         if (bits.z == g.record) {
-            vec2 m = texelFetch(moments, AT(px), 0).xy;
+            vec2 about = texelFetch(level_before, AT(px), 0).xy;
             past.mean = texelFetch(history, AT(px), 0);
-            past.samples = m.x;
-            past.squares = m.y * square(luminance(past.mean.rgb));
+            past.samples = texelFetch(counts, AT(px), 0).x;
+            past.level = about.x;
+            past.variance = about.y * near.worth * past.samples;
         }
         return past;
     }
@@ -132,37 +133,34 @@ Past look_back(ivec2 px, Guide g, Near near) {
         if (bits.z != g.record || dot(guide_normal(bits), g.n) < 0.9) continue;
         // A visibility stays with its point; a reflection is only held to its surface, whose depth there is another.
         if (IS_VISIBILITY && abs(uintBitsToFloat(bits.y) - depth) > 0.02 * abs(depth) + 4.0 * pixel_width(depth)) continue;
-        vec2 m = texelFetch(moments, AT(q), 0).xy;
-        if (m.x <= 0.0) continue;
-        vec4 h = texelFetch(history, AT(q), 0);
-        past.mean += w * h;
-        past.samples += w * m.x;
-        past.squares += w * m.y * square(luminance(h.rgb));
+        float count = texelFetch(counts, AT(q), 0).x;
+        if (count <= 0.0) continue;
+        vec2 about = texelFetch(level_before, AT(q), 0).xy;
+        past.mean += w * texelFetch(history, AT(q), 0);
+        past.samples += w * count;
+        past.level += w * about.x;
+        past.variance += w * about.y * near.worth * count;
         weight += w;
     }
-    if (weight < 0.01) return Past(vec4(0.0), 0.0, 0.0, 0.0);
+    if (weight < 0.01) return Past(vec4(0.0), 0.0, 0.0, 0.0, 0.0);
     past.mean /= weight;
+    past.level /= weight;
     past.samples /= weight;
-    past.squares /= weight;
+    past.variance /= weight;
     return past;
 }
 
-// History that this frame's samples contradict is moved to what they allow, and counts for less.
+// History that this frame's samples contradict is moved to what they allow, and counts for less. What is compared are means
+// about the pixel: its own past is as noisy as it is young.
 void hold(inout Past past, Near near, float frame_samples) {
-    float m = luminance(past.mean.rgb);
-    float of_sample = max(near.variance, max(past.squares - m * m, 0.0));
-    // How far the mean about the pixel may be from the truth in it: by chance, and because the truth is not even.
-    float chance = of_sample / max(frame_samples * near.weight, 1.0);
-    float uneven = max(near.spread - of_sample / max(frame_samples, 1.0), 0.0);
-    float allowed = 3.0 * sqrt(chance + uneven) + 1e-3 * near.mean;
-    float off = abs(m - near.mean);
+    float chance = max(near.variance, past.variance) * (1.0 / frame_samples + 1.0 / past.samples) / near.worth;
+    float allowed = 3.0 * sqrt(chance) + 1e-3 * near.mean;
+    float off = abs(past.level - near.mean);
     if (off <= allowed) return;
-    float keep = allowed / off;
-    float target = near.mean + (m - near.mean) * keep;
-    past.mean.rgb *= m > 1e-9 ? target / m : 0.0;
-    past.squares *= m > 1e-9 ? square(target / m) : 0.0;
-    past.samples *= square(square(keep));
-    if (m <= 1e-9) past.samples = 0.0;
+    float keep = allowed / off, scale = (near.mean + (past.level - near.mean) * keep) / max(past.level, 1e-9);
+    past.mean.rgb *= scale;
+    past.variance *= square(scale);
+    past.samples *= past.level > 1e-9 ? square(square(keep)) : 0.0;
 }
 
 void main() {
@@ -171,7 +169,7 @@ void main() {
     uvec4 bits = texelFetch(guide, px, 0);
     vec4 s = texelFetch(signal, AT(px), 0);
     vec4 mean = vec4(s.rgb, 0.0), filtered = vec4(s.rgb, -1.0);
-    vec2 state = vec2(0.0);
+    float count = 0.0;
     vec2 n = is_surface(bits) && has_signal(s) ? noise_of(px, s) : vec2(0.0);
     if (n.y > 0.0) {
         Guide g = unpack_guide(bits, vec2(px));
@@ -179,18 +177,13 @@ void main() {
         Past past = look_back(px, g, near);
         if (past.samples > 0.0) hold(past, near, n.y);
         past.samples = min(past.samples, past.frames * n.y);
-        float count = past.samples + n.y, now = n.y / count;
+        count = past.samples + n.y;
+        float now = n.y / count;
         mean.rgb = mix(past.mean.rgb, s.rgb, now);
         mean.a = past.samples > 0.0 && past.mean.a > 0.0 && near.extent > 0.0 ? mix(past.mean.a, near.extent, now) : max(near.extent, past.mean.a);
-        float m = luminance(mean.rgb);
-        float squares = mix(past.squares, n.x * square(luminance(s.rgb)), now);
-        float of_sample = max(squares - m * m, 0.0) * count / max(count - 1.0, 1.0);
-        // A few samples do not know their own spread; those about them do.
-        of_sample = mix(near.variance, of_sample, clamp((count - 4.0) / 28.0, 0.0, 1.0));
-        filtered = vec4(mean.rgb, of_sample / count);
-        state = vec2(count, min(squares / max(m * m, 1e-30), 6e4));
+        filtered = vec4(mean.rgb, mix(past.variance, near.variance, now) / count);
     }
     imageStore(out_history, AT(px), mean);
-    imageStore(out_moments, AT(px), vec4(state, 0.0, 0.0));
+    imageStore(out_counts, AT(px), vec4(count));
     imageStore(out_filtered, px, filtered);
 }

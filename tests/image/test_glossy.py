@@ -31,7 +31,7 @@ def coated() -> Material:
 def test_unbiased(renderer: "Renderer", name: str, scale: float, tmp_path: "Path") -> None:
     """Z-test against the reference, which samples the whole BSDF and the sky besides."""
     world = things(coated()) if name == "coat" else metal_floor(min(float(name), 0.999))
-    count = int(12 * scale)
+    count = int(24 * scale)  # 12 leave too few a pixel: of those that rarely meet the post some never do
     rays = 100 if name == "0.1" else 16  # 16 either way: enough that a rarely met post is met in most batches
     got = batches(renderer, world, count, size=SIZE, samples=rays, parameters=RAW)
     settings = Settings(reflections="reference", samples=8, bounces=0, aa=1, seed=5)
