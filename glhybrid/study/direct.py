@@ -14,6 +14,7 @@ from glhybrid.scene import F32, F64, Camera, Light, Scene
 from glhybrid.settings import Settings
 
 MOST_LIGHTS = 16  # each needs a picture of its own
+AT_ONCE = 16  # points of a light
 HARD = Settings(shadows="ray", reflections="none", aa=1)
 
 
@@ -43,14 +44,7 @@ def find(renderer: Renderer, scene: Scene, camera: Camera, size: tuple[int, int]
     """points: of each light with a size. Only the MOST_LIGHTS strongest lights count."""
     strength = [max(light.color) * light.intensity for light in scene.lights]
     chosen = tuple(sorted(sorted(range(len(strength)), key=lambda i: -strength[i])[:MOST_LIGHTS]))
-    lamps, owner = [], []
-    for row, index in enumerate(chosen):
-        spread = spread_over(scene.lights[index], points)
-        lamps += spread
-        owner += [row] * len(spread)
-    many = renderer.render(scene.replace(lights=tuple(lamps)), camera, size, HARD, aovs=("visibility",))["visibility"]
-    owners = np.array(owner)
-    visibility = np.stack([many[..., owners == row].mean(-1) for row in range(len(chosen))], -1)
+    visibility = np.stack([_arriving(renderer, scene, camera, size, scene.lights[i], points) for i in chosen], -1)
     dark = tuple(
         replace(m, emissive=(0.0, 0.0, 0.0), base_color=(0, 0, 0, m.base_color[3]) if m.unlit else m.base_color)
         for m in scene.materials
@@ -60,7 +54,19 @@ def find(renderer: Renderer, scene: Scene, camera: Camera, size: tuple[int, int]
     unblocked = [
         renderer.render(bare.replace(lights=(scene.lights[i],)), camera, size, off)["radiance"] for i in chosen
     ]
-    return Direct(visibility.astype(np.float32), np.stack(unblocked), chosen)
+    return Direct(visibility, np.stack(unblocked), chosen)
+
+
+def _arriving(
+    renderer: Renderer, scene: Scene, camera: Camera, size: tuple[int, int], light: Light, points: int
+) -> F32:
+    """(H, W) the share of a light that is seen, AT_ONCE of its points after another: each has an image."""
+    lamps = spread_over(light, points)
+    total = np.zeros((size[1], size[0]), np.float32)
+    for first in range(0, len(lamps), AT_ONCE):
+        some = scene.replace(lights=tuple(lamps[first : first + AT_ONCE]))
+        total += renderer.render(some, camera, size, HARD, aovs=("visibility",))["visibility"].sum(-1)
+    return total / np.float32(len(lamps))
 
 
 def spread_over(light: Light, points: int) -> list[Light]:

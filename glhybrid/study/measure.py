@@ -83,13 +83,28 @@ def draw(renderer: Renderer, scene: Scene, camera: Camera, size: tuple[int, int]
     return renderer.render(scene, camera, size, settings, aovs=AOVS)
 
 
-def figures(frame: Frame, want: F32, light: Direct | None, specular: F32) -> tuple[dict[str, Any], F32]:
-    """Errors of a picture, and its FLIP map. light: None where the scene has none. specular (H, W): the share of a
-    pixel's reflectance that is specular, 0 to 1."""
-    difference, flip = picture.compare(frame["radiance"], want)
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What pictures of a scene are held against. radiance (H, W, 3): the reference; light: None where there is none;
+    specular (H, W): the share of a pixel's reflectance that is specular, 0 to 1."""
+
+    radiance: F32
+    light: Direct | None
+    specular: F32
+
+
+def compared(frame: Frame, truth: Truth, folder: Path, stem: str) -> dict[str, Any]:
+    """Errors of a picture, and the names of its images once they are written."""
+    row, flip = figures(frame, truth)
+    return row | {"images": save_images(folder, stem, frame, flip)}
+
+
+def figures(frame: Frame, truth: Truth) -> tuple[dict[str, Any], F32]:
+    """Errors of a picture, and its FLIP map."""
+    difference, flip = picture.compare(frame["radiance"], truth.radiance)
     row: dict[str, Any] = difference.to_dict()
-    row["flip_reflection"] = picture.weighted_mean(flip, specular)
-    row |= shadow_figures(frame["visibility"], light)
+    row["flip_reflection"] = picture.weighted_mean(flip, truth.specular)
+    row |= shadow_figures(frame["visibility"], truth.light)
     return row, flip
 
 

@@ -29,6 +29,7 @@ log = logging.getLogger("glhybrid")
 Progress = Callable[[str, int, int], None]
 BATCH = 8  # paths a pixel of the first two batches; they double
 LARGEST_BATCH = 256
+LOOK_SHARE = 4.0  # times as long as a look at its noise takes it is worked on before the next
 LEAST = 64  # paths a pixel, whatever the time: fewer tell nothing apart
 
 
@@ -85,8 +86,15 @@ def converge(
     path = folder / f"{key}.npz" if folder is not None and scene.sha256 else None
     halves = _Halves.read(path, size) if path is not None else _Halves.empty(size)
     started, kept_s, saved = time.perf_counter(), halves.seconds, time.perf_counter()
+    noise, looked, looking_s = math.inf, started, 0.0
     while True:
-        noise = halves.noise_flip()
+        # To look takes seconds where pictures are large: at most a fifth of the time goes there.
+        due = time.perf_counter() - looked >= LOOK_SHARE * looking_s or halves.samples >= most
+        if due or time.perf_counter() - started >= budget_s:
+            looking = time.perf_counter()
+            noise = halves.noise_flip()
+            looked = time.perf_counter()
+            looking_s = looked - looking
         spent = time.perf_counter() - started
         timed_out = spent >= budget_s and halves.samples >= LEAST
         enough = halves.samples > 0 and (noise <= target or halves.samples >= most or timed_out)

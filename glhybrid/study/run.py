@@ -4,6 +4,7 @@ load -> reference.converge -> direct.find -> sweep.axis -> measure (kept in stor
      -> failures, stability -> results.json, results.csv, report.html
 """
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from glhybrid.study.results import Study
 from glhybrid.study.sweep import Cell
 from glhybrid.view import choose_camera
 
+log = logging.getLogger("glhybrid")
 SCENES = ("atrium", "plaza", "showroom")
 QUICK_SCENES = ("showroom", "atrium")
 PARTS = ("peers", "stability", "failures")  # what is done beside the scenes
@@ -81,20 +83,25 @@ def run(
             "failures": FAILURE_CELLS,
         }
         meter.expect(sum(costs[part] for part in parts))
-        for one in work:
-            one.run()
+        try:
+            for one in work:
+                one.run()
+                results.write(study, output)
+            for part in parts:
+                if part == "ladder":
+                    study.paper["ladder"] = papers.ladder(renderer, output / part, quick, spent.clock, meter)
+                    study.paper["printed"] = list(papers.PRINTED)
+                elif part == "peers":
+                    study.peers = _peers(renderer, [one.site() for one in work], quick, meter, study.note)
+                elif part == "stability":
+                    study.curves = curves.run(renderer, output / part, quick, meter, study.note)
+                elif part == "failures":
+                    study.failures = failures(renderer, output / part, meter, study.note)
+                results.write(study, output)
+        except KeyboardInterrupt:
             results.write(study, output)
-        for part in parts:
-            if part == "ladder":
-                study.paper["ladder"] = papers.ladder(renderer, output / part, quick, spent.clock, meter)
-                study.paper["printed"] = list(papers.PRINTED)
-            elif part == "peers":
-                study.peers = _peers(renderer, [one.site() for one in work], quick, meter, study.note)
-            elif part == "stability":
-                study.curves = curves.run(renderer, output / part, quick, meter, study.note)
-            elif part == "failures":
-                study.failures = failures(renderer, output / part, meter, study.note)
-            results.write(study, output)
+            log.info("%s: stopped; the same command goes on from here", output / "report.html")
+            raise
     return study
 
 

@@ -3,22 +3,25 @@
 import math
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from glhybrid.bvh.blas import threads_available
 from glhybrid.errors import GlhybridError, SettingError
 from glhybrid.image import replacing
 from glhybrid.renderer import Renderer
-from glhybrid.scene import F32, Camera, Scene
+from glhybrid.scene import Camera, Scene
 from glhybrid.settings import Settings
 from glhybrid.study import direct, measure, reflected, results, stability, store, sweep
 from glhybrid.study import reference as references
+from glhybrid.study.comparing import MOST, Comparing
 from glhybrid.study.develop import develop
-from glhybrid.study.measure import Clock
+from glhybrid.study.measure import Clock, Truth
 from glhybrid.study.peers.panel import Site
 from glhybrid.study.progress import Meter
 from glhybrid.study.reference import Reference
@@ -74,6 +77,8 @@ class SceneStudy:
         self.renderer, self.name, self.scene, self.camera = renderer, name, scene, camera
         self.axes, self.spent, self.bounces = axes, spent, bounces
         self.folder, self.study, self.meter = output / name, study, meter
+        self._comparing: Comparing | None = None
+        self._pending: list[tuple[dict[str, Any], Future[dict[str, Any]]]] = []
 
     def size_of_work(self) -> float:
         pairs = self.spent.pairs if len(self.axes) > 1 else 0
@@ -86,6 +91,13 @@ class SceneStudy:
         frame.save(self.folder / "reference.png")
         frame.save(self.folder / "reference.exr", aov=())
         self._describe()
+        try:
+            self._cells()
+        finally:
+            if self._comparing is not None:
+                self._comparing.close()
+
+    def _cells(self) -> None:
         seen: dict[str, dict[str, Any]] = {}
         started, left_out = time.perf_counter(), 0
         wanted = [(cell, kind) for kind, cells in self.axes.items() for cell in cells]
@@ -95,6 +107,7 @@ class SceneStudy:
                 self.meter.end(free=True)
                 continue
             self._cell(cell, kind, seen)
+        self._settle()
         if left_out:
             self.study.note(f"{self.name}: {left_out} variants were left out for time; the same command adds them")
         if len(self.axes) > 1:
@@ -102,6 +115,7 @@ class SceneStudy:
             self.meter.expect(len(cells) - self.spent.pairs)
             for cell in cells:
                 self._cell(cell, PAIRS, seen)
+            self._settle()
 
     def site(self) -> Site:
         """What other renderers are given and held against, once it has run."""
@@ -165,30 +179,50 @@ class SceneStudy:
             store.code_digest(), self.reference.key, self.reference.samples, settings.to_dict(),
             self.renderer.context.device.to_dict(), self.spent.clock.__dict__, self.spent.points, self.spent.pan_steps,
         )  # fmt: skip
-        row = seen.get(cell.key) or store.read(path, key)
+        if cell.key in seen:
+            seen[cell.key]["axes"].append(axis)
+            self.meter.end(free=True)
+            return
+        row = store.read(path, key)
         free = row is not None
         if row is None:
             try:
-                row = self._measure(cell, settings, stem)
+                row, errors = self._measure(cell, settings, stem)
             except GlhybridError as error:
                 self.study.note(f"{self.name}: {cell.label} was not measured: {error}")
                 self.meter.end()
                 return
-            store.write_json(path, row | {"key": key})
-        if cell.key in seen:
-            row["axes"].append(axis)
+            errors.add_done_callback(partial(_keep, path, key, dict(row)))
         else:
-            row = {k: v for k, v in row.items() if k != "key"} | {"axes": [axis], "cell": cell.key}
-            seen[cell.key] = row
-            self.study.rows.append(row)
+            row, errors = {k: v for k, v in row.items() if k != "key"}, Future()
+            errors.set_result({})
+        row |= {"axes": [axis], "cell": cell.key}
+        seen[cell.key] = row
+        self._pending.append((row, errors))
+        self._settle(self._processes)
         self.meter.end(free=free)
 
-    def _measure(self, cell: Cell, settings: Settings, stem: str) -> dict[str, Any]:
+    def _settle(self, most: int = 0) -> None:
+        """Rows whose errors are known become the study's, until at most so many wait."""
+        while self._pending and (len(self._pending) > most or self._pending[0][1].done()):
+            row, errors = self._pending.pop(0)
+            row |= errors.result()
+            self.study.rows.append(row)
+
+    @cached_property
+    def _processes(self) -> int:
+        """That compare pictures beside this one."""
+        return 0 if self.renderer.context.device.software else min(max(threads_available() - 2, 0), MOST)
+
+    def _measure(self, cell: Cell, settings: Settings, stem: str) -> tuple[dict[str, Any], "Future[dict[str, Any]]"]:
+        """The row but for its errors, and those."""
         args = self.renderer, self.scene, self.camera, self.spent.size
-        specular, light = self._specular, self._light
+        if self._comparing is None:
+            truth = Truth(self.reference.radiance, self._light(), measure.specular_share(*args))
+            self._comparing = Comparing(truth, self._processes)
         frame = measure.draw(*args, settings)
+        errors = self._comparing.submit(frame, self.folder, stem)
         times = measure.time_frames(*args, settings, self.spent.clock)
-        errors, flip = measure.figures(frame, self.reference.radiance, light, specular)
         width, height = self.spent.size
         moving = None
         if not cell.parameters:
@@ -197,21 +231,15 @@ class SceneStudy:
         shown = None
         if self._mirrors is not None and cell.axis_of("reflections"):
             shown = self._mirrors.ask(self.renderer, settings)
-        images = measure.save_images(self.folder, stem, frame, flip)
-        return {
-            "scene": self.name, **measure.describe(cell, times), "bytes": measure.memory(frame.receipt), **errors,
+        row = {
+            "scene": self.name, **measure.describe(cell, times), "bytes": measure.memory(frame.receipt),
             "flicker": moving.flicker if moving else None,
             "flicker_p99": moving.flicker_p99 if moving else None,
             "flip_rate_percent": moving.flip_rate_percent if moving else None,
             **(shown.to_dict() if shown else reflected.NOTHING),
-            "images": images,
         }  # fmt: skip
+        return row, errors
 
-    @cached_property
-    def _specular(self) -> F32:
-        return measure.specular_share(self.renderer, self.scene, self.camera, self.spent.size)
-
-    @cached_property
     def _light(self) -> direct.Direct | None:
         if not self.scene.lights or not self.scene.instances:
             return None
@@ -225,3 +253,9 @@ class SceneStudy:
     def _pan_camera(self) -> Camera:
         depth = stability.typical_depth(self.renderer, self.scene, self.camera)
         return stability.orthographic(self.camera, depth)
+
+
+def _keep(path: Path, key: str, row: dict[str, Any], errors: "Future[dict[str, Any]]") -> None:
+    """A finished cell, whatever becomes of the rest."""
+    if not errors.cancelled() and errors.exception() is None:
+        store.write_json(path, row | errors.result() | {"key": key})

@@ -1,7 +1,12 @@
 """A small study end to end: what it writes, what its figures say, that it goes on where it was stopped."""
 
 import json
+import os
 import re
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,11 +17,13 @@ import pytest
 from rays import moved, scene_of
 
 import glhybrid as gh
-from glhybrid.errors import OutputError, SettingError
+from glhybrid.errors import GlhybridError, OutputError, SettingError
+from glhybrid.image import Frame
 from glhybrid.load.shapes import box
 from glhybrid.scene import Camera, Environment, Light, Material, Scene, Sphere
 from glhybrid.settings import Settings
-from glhybrid.study import direct, measure, reference, run, stability
+from glhybrid.study import direct, measure, reference, run, scene_study, stability
+from glhybrid.study.comparing import Comparing
 from glhybrid.study.measure import Clock
 
 if TYPE_CHECKING:
@@ -101,8 +108,96 @@ def test_a_stopped_study_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     kept = sorted(p.name for p in (tmp_path / "out" / "stage").glob("*.json"))
     assert len(kept) == 3, "two cells and the reference"
     assert not list((tmp_path / "out").rglob("*.part*"))
+    assert len(json.loads((tmp_path / "out" / "results.json").read_text())["rows"]) == 2, "what there is, is shown"
+    assert (tmp_path / "out" / "report.html").is_file()
     study = _run(tmp_path, monkeypatch, context)
     assert len(calls) == 3 + len(study.rows) - 2
+
+
+def test_a_killed_study_goes_on(tmp_path: Path) -> None:
+    """The real thing, killed without warning while it measures: what was finished is kept as it was, the rest made."""
+    scene = tmp_path / "post.toml"
+    scene.write_text(POST)
+    environment = os.environ | {"GLHYBRID_CACHE": str(tmp_path / "cache"), "GLHYBRID_TUNING": "off"}
+    command = [
+        sys.executable, "-m", "glhybrid", "study", str(scene), "--quick", "--size", "48x36", "--samples", "4",
+        "--techniques", "map,ray,env", "-o", str(tmp_path / "out"), "--quiet",
+    ]  # fmt: skip
+    folder = tmp_path / "out" / "post"
+    # Its further parts would take minutes: it is killed before them, and asked for none the second time.
+    running = subprocess.Popen(command, env=environment)
+    deadline = time.perf_counter() + 120
+    while len(list(folder.glob("*.json"))) < 3 and running.poll() is None and time.perf_counter() < deadline:
+        time.sleep(0.02)
+    running.kill()
+    assert running.wait() == -signal.SIGKILL
+    kept = {path: path.read_bytes() for path in folder.glob("*.json")}
+    assert 3 <= len(kept) < 7
+    options = {"quick": True, "size": (48, 36), "samples": 4, "only": ("map", "ray", "env"), "parts": ()}
+    environment_now = pytest.MonkeyPatch()
+    for name in ("GLHYBRID_CACHE", "GLHYBRID_TUNING"):
+        environment_now.setenv(name, environment[name])
+    study = run.run((str(scene),), tmp_path / "out", **options)  # type: ignore[arg-type]
+    environment_now.undo()
+    assert all(path.read_bytes() == data for path, data in kept.items())
+    assert len(list(folder.glob("*.json"))) == len(study.rows) + 1 > len(kept)
+
+
+POST = """
+[camera.main]
+eye = [3, 2, 4]
+target = [0, 0.4, 0]
+[environment]
+constant = [0.5, 0.5, 0.5]
+[[light]]
+kind = "directional"
+direction = [-0.6, -0.7, -0.4]
+intensity = 3
+[[object]]
+shape = "plane"
+size = [8, 8]
+[[object]]
+shape = "box"
+size = [0.8, 1, 0.8]
+translate = [0, 0.5, 0]
+"""
+
+
+def test_pictures_compared_beside_are_compared_alike(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, context: "Context"
+) -> None:
+    """In other processes, as on a GPU: the same figures to the bit, and the same rows in the same order."""
+    here = _run(tmp_path, monkeypatch, context)
+    monkeypatch.setattr(scene_study.SceneStudy, "_processes", 2)
+    beside = _run(tmp_path / "beside", monkeypatch, context)
+    names = ("flip", "flip_shadow", "flip_reflection", "rel_mse", "psnr", "ssim", "wrong_shadow_percent", "images")
+    labels = [[r["label"] for r in study.rows if r["axes"] != ["pairs"]] for study in (here, beside)]
+    assert labels[0] == labels[1], "pairs depend on times"
+    found = {row["cell"]: row for row in beside.rows}
+    shared = [(row, found[row["cell"]]) for row in here.rows if row["cell"] in found]
+    assert len(shared) > 5
+    for one, other in shared:
+        assert {name: one[name] for name in names} == {name: other[name] for name in names}
+    assert len(list((tmp_path / "beside" / "out" / "stage").glob("*.flip.png"))) == len(beside.rows)
+
+
+def test_a_process_that_compares_says_what_is_wrong(tmp_path: Path) -> None:
+    truth = measure.Truth(np.ones((16, 16, 3), np.float32), None, np.ones((16, 16), np.float32))
+    frame = Frame(
+        np.zeros((16, 16, 3), np.uint8),
+        {"radiance": np.ones((16, 16, 3), np.float32), "visibility": np.ones((16, 16, 0), np.float32)},
+    )
+    beside = Comparing(truth, 1)
+    try:
+        assert beside.submit(frame, tmp_path, "one").result(60)["flip"] == 0
+        with pytest.raises(OutputError):
+            beside.submit(frame, tmp_path / "nowhere", "one").result(60)
+        assert beside.submit(frame, tmp_path, "two").result(60)["images"]["png"] == "two.png"
+        beside._all[0]._popen.kill()
+        with pytest.raises(GlhybridError, match="has ended"):
+            beside.submit(frame, tmp_path, "three").result(60)
+    finally:
+        beside.close()
 
 
 def test_bad_input_is_refused_before_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, context: "Context") -> None:

@@ -1,0 +1,108 @@
+"""Pictures are held against the truth in processes beside this one while the device makes the next: FLIP of 1920x1080
+pixels takes seconds of a core. On a software device, whose times that would disturb, here and at once.
+
+The processes are started as commands, not by multiprocessing, which would run a caller's script again.
+"""
+
+import os
+import pickle
+import subprocess
+import sys
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from queue import SimpleQueue
+from typing import IO, Any
+
+from glhybrid.errors import GlhybridError
+from glhybrid.image import Frame
+from glhybrid.study.measure import Truth, compared
+
+MOST = 6  # processes: each holds the truth, and a picture
+COMMAND = "from glhybrid.study.comparing import serve; serve()"
+
+
+class Comparing:
+    """Compares with one truth. Close it, so that its processes end."""
+
+    def __init__(self, truth: Truth, processes: int) -> None:
+        """processes: 0 to do it here."""
+        self._truth = truth
+        self._free: SimpleQueue[_Process] = SimpleQueue()
+        self._all = [_Process(truth) for _ in range(processes)]
+        for process in self._all:
+            self._free.put(process)
+        self._threads = ThreadPoolExecutor(processes) if processes else None
+
+    def submit(self, frame: Frame, folder: Path, stem: str) -> "Future[dict[str, Any]]":
+        """`compared` of the frame, now or later."""
+        if self._threads is None:
+            done: Future[dict[str, Any]] = Future()
+            done.set_result(compared(frame, self._truth, folder, stem))
+            return done
+        job = Frame(frame.rgb, {name: frame[name] for name in ("radiance", "visibility")}), folder, stem
+        return self._threads.submit(self._ask, job)
+
+    def _ask(self, job: Any) -> dict[str, Any]:
+        process = self._free.get()
+        try:
+            return process.ask(job)
+        finally:
+            self._free.put(process)
+
+    def close(self) -> None:
+        """What is not finished is given up."""
+        for process in self._all:
+            process.kill()
+        if self._threads is not None:
+            self._threads.shutdown(cancel_futures=True)
+
+
+class _Process:
+    def __init__(self, truth: Truth) -> None:
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+        self._popen = subprocess.Popen(
+            [sys.executable, "-c", COMMAND], stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment,
+            start_new_session=True,  # an interrupt is for us, who then end it
+        )  # fmt: skip
+        self._truth: Truth | None = truth
+
+    def ask(self, job: Any) -> dict[str, Any]:
+        stdin, stdout = self._popen.stdin, self._popen.stdout
+        assert stdin is not None and stdout is not None
+        try:
+            if self._truth is not None:
+                _send(stdin, self._truth)
+                self._truth = None
+            _send(stdin, job)
+            answer = pickle.load(stdout)
+        except (OSError, EOFError):
+            raise GlhybridError("a process that compares pictures has ended: out of memory?") from None
+        if isinstance(answer, BaseException):
+            raise answer
+        return dict(answer)
+
+    def kill(self) -> None:
+        self._popen.kill()
+        self._popen.communicate()
+
+
+def _send(stream: IO[bytes], value: Any) -> None:
+    pickle.dump(value, stream, pickle.HIGHEST_PROTOCOL)
+    stream.flush()
+
+
+def serve() -> None:
+    """What such a process does: reads the truth, then pictures, and answers each."""
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what else is printed is no answer
+    truth = pickle.load(sys.stdin.buffer)
+    while True:
+        try:
+            job = pickle.load(sys.stdin.buffer)
+        except EOFError:
+            return
+        try:
+            answer: Any = compared(job[0], truth, *job[1:])
+        except Exception as error:
+            answer = error
+        _send(answers, answer)
