@@ -18,7 +18,7 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from glhybrid import content_cache, layout, lightmap
+from glhybrid import content_cache, layout, lightmap, lightmap_seams
 from glhybrid.context import Context
 from glhybrid.gl import BufferTexture
 from glhybrid.gpu_scene import GpuScene, light_rows
@@ -30,8 +30,9 @@ from glhybrid.shaders import Shaders
 from glhybrid.targets import Targets
 from glhybrid.timing import Progress
 
+VERSION = 2  # of what the host makes of rays
 ROWS_AT_ONCE = 1 << 17  # texels in a dispatch
-FIRST_SAMPLES = 16  # of a light with a size, everywhere; the others only where these say that there is a penumbra
+STAGES = (4, 16)  # rays to a light with a size: everywhere, then all of them where these find a penumbra, and so on
 RAYS_AT_ONCE = 8  # of an invocation: llvmpipe ends all its loops at 65,535 turns, rays included
 BAKE_INSIDE = 2.0  # as in lib/bake.glsl
 
@@ -113,7 +114,9 @@ class Baked:
         made_by = [self._shaders.text(stem) for stem in ("baked_push", "baked_trace")]
         made_by.append(str(self._context.device).encode())
         map_ = (self.layout.index, self.layout.instance, self.layout.triangle, self.layout.bary)
-        numbers = repr((self.layout.pages, *(self._number(n) for n in ("samples", "push", "dilation")))).encode()
+        numbers = repr(
+            (VERSION, self.layout.pages, *(self._number(n) for n in ("samples", "push", "dilation")))
+        ).encode()
         return content_cache.key(
             *where, *shades, *(np.ascontiguousarray(a).tobytes() for a in (*arrays, *map_)), *made_by, numbers
         )
@@ -134,23 +137,32 @@ class Baked:
             valid.reshape(-1)[map_.index] = ~inside
             for light, row in enumerate(lights):
                 many = self._number("samples") if row.has_size else 1
-                few = min(many, FIRST_SAMPLES)
-                bar = _bar(progress, f"baking light {light + 1} of {len(lights)}")
-                sums = tracer.trace(map_, points, np.arange(len(map_.index)), light, 0, few, bar)
-                away = sums[:, 3] <= 0
-                sums /= few
+                what = f"baking light {light + 1} of {len(lights)}"
+                rows, done = np.arange(len(map_.index)), min(many, STAGES[0])
+                sums = tracer.trace(map_, points, rows, light, 0, done, _bar(progress, what))
+                counts = np.full(len(rows), done)
+                away = sums[:, 3]
                 plane = np.zeros((*map_.pages, components), np.float32)
-                plane.reshape(-1, components)[map_.index] = sums[:, :components]
-                if many > few:
+                flat = plane.reshape(-1, components)
+                flat[map_.index] = sums[:, :components] / done
+                for upto in (*(n for n in STAGES[1:] if n < many), many) if done < many else ():
                     rows = np.flatnonzero(_uneven(plane[..., 0], chart).reshape(-1)[map_.index] & ~inside)
-                    bar = _bar(progress, f"baking penumbras of light {light + 1} of {len(lights)}")
-                    more = tracer.trace(map_, points, rows, light, few, many, bar)
-                    plane.reshape(-1, components)[map_.index[rows]] = (few * sums[rows] + more)[:, :components] / many
+                    bar = _bar(progress, f"{what}: penumbrae, {upto} rays")
+                    # All of them have had as many: a penumbra found later than its neighbours is caught up with.
+                    for had in np.unique(taken := counts[rows]).tolist():
+                        mine = rows[taken == had]
+                        sums[mine] += tracer.trace(map_, points, mine, light, had, upto, bar)
+                    counts[rows] = upto
+                    flat[map_.index[rows]] = sums[rows, :components] / upto
                 if inside.any() and self._number("dilation"):
                     from glhybrid.lightmap_kernels import spread
 
                     spread(plane, valid.copy(), chart, self._number("dilation"))
-                _soften_terminator(plane, chart, map_.index, away)
+                _soften_terminator(plane, chart, map_.index, away <= 0)
+                if row.has_size:
+                    facing = np.full(len(flat), -1, np.float32)
+                    facing[map_.index] = away
+                    lightmap_seams.stitch(flat, facing, lightmap_seams.lookups(self._scene.geometry, map_))
                 values[light] = np.rint(np.clip(plane, 0, 1) * 255).reshape(-1, components)
         finally:
             tracer.release()

@@ -83,7 +83,7 @@ def wrong(renderer: gh.Renderer, scene: Scene, camera: Camera, chosen: gh.Settin
 
 
 def baked(renderer: gh.Renderer, scene: Scene, chosen: gh.Settings) -> Baked:
-    made = renderer.stage(scene, chosen, (16, 16)).shadow
+    made = renderer.stage(scene, chosen, (16, 16)).passes.shadow
     assert isinstance(made, Baked)
     return made
 
