@@ -6,6 +6,7 @@ points of all seams. After Iwanicki, "Lighting Technology of The Last of Us", SI
 """
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -82,10 +83,10 @@ def stitch(values: F32, facing: F32, seams: Iterator[tuple[np.ndarray, F32]]) ->
     if not sum(map(len, indices)):
         return
     used, at = np.unique(np.concatenate(indices), return_inverse=True)
-    at, weight = at.reshape(-1, 8), np.asarray(np.concatenate(weights), np.float64)
+    signed: Any = np.concatenate(weights).astype(np.float64)
     for channel in range(values.shape[1]):
-        x = np.asarray(values[used, channel], np.float64)
-        values[used, channel] = x + _least_squares(at, weight, x)
+        x: Any = values[used, channel].astype(np.float64)
+        values[used, channel] = x + _least_squares(at.reshape(-1, 8), signed, x)
 
 
 def _least_squares(at: np.ndarray, weight: F64, x: F64) -> F64:

@@ -174,7 +174,9 @@ def test_points_inside_solids_are_pushed_out(renderer: gh.Renderer, context: "Co
 
 
 def test_seams_hardly_show(renderer: gh.Renderer, context: "Context") -> None:
-    """A tube half in a penumbra, where charts meet: the step across, of two lookups at one point of two triangles."""
+    """A tube half in a penumbra, where charts meet: the step across, of two lookups at one point of two triangles.
+
+    64 rays a texel leave a noise of 1.9 % between them, 4 % at 95 % of them, where texels are not made to agree."""
     tube = torus(radius=1.0, tube=0.4, segments=32, sides=16)
     slab = box(size=(4, 0.05, 4))
     scene = scene_of(tube, slab, poses=[np.eye(4), moved((2.0, 2.5, 0))], materials=(WHITE,))
@@ -182,7 +184,12 @@ def test_seams_hardly_show(renderer: gh.Renderer, context: "Context") -> None:
     made = baked(renderer, scene.replace(lights=(sun,)), settings(levels=2, texels=12.0, samples=64))
     steps, means = seam_steps(made, 0)
     say(f"step across seams: mean {steps.mean():.4f} of {means.mean():.2f}, 95 % {np.quantile(steps, 0.95):.4f}")
-    assert len(steps) > 60 and steps.mean() / means.mean() < 0.02 and np.quantile(steps, 0.95) < 0.1
+    assert len(steps) > 60 and steps.mean() / means.mean() < 0.006 and np.quantile(steps, 0.95) < 0.015
+    got = pages(made)[0]
+    truth = pages(baked(renderer, scene.replace(lights=(sun,)), settings(levels=2, texels=12.0, samples=1024)))[0]
+    off = np.abs(got - truth)[(truth > 0) & (truth < 1)].mean()
+    say(f"texels in the penumbra are off by {off:.4f}")
+    assert off < 0.016, "no more than the noise of their rays"
 
 
 def seam_steps(made: Baked, mesh: int) -> tuple[F64, F64]:
