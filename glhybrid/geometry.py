@@ -5,7 +5,7 @@ flattened into one mesh in world space (relative to its own centre, so that floa
 it lies): no top-level tree, no change of space in the middle of a ray.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,9 +25,15 @@ class MeshData:
 
     first_triangle: int
     geometries: tuple[tuple[int, int], ...]  # first triangle and count, by geometry
-    blas: Blas
     first_vertex: int = 0  # a mesh's vertices lie together, its pieces in order
     spheres: tuple[tuple[int, int, F32], ...] = ()  # row of triangles, geometry, centre and radius
+    tree: Blas | None = None  # until something traces
+
+    @property
+    def blas(self) -> Blas:
+        """The tree, where there must be one."""
+        assert self.tree is not None
+        return self.tree
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,11 +62,7 @@ class Geometry:
     source_triangle: U32  # (T,): triangle within its scene mesh, primitives in order
     dropped: int
     flattened_away: int  # of those dropped, triangles that two levels would have kept
-    why_levels: str
-
-    @property
-    def nodes(self) -> int:
-        return sum(len(m.blas.nodes) for m in self.meshes)
+    may_split: bool  # a triangle may lie in several leaves
 
 
 def _check_reach(scene: Scene, levels: int) -> None:
@@ -85,19 +87,50 @@ def build(
     tangents: bool = True,
     attributes: bool = True,
     deforming: frozenset[int] = frozenset(),
+    trees: bool = True,
 ) -> Geometry:
     """Arrays, records and trees of a scene. Triangles with a non-finite vertex or no area are dropped and counted.
 
-    deforming: rows of scene.meshes that will change shape: their triangles may be without area now.
+    deforming: rows of scene.meshes that will change shape: their triangles may be without area now. trees: False
+    leaves them to grow_trees.
     """
-    chosen, why = choose_levels(scene, levels)
+    chosen, _ = choose_levels(scene, levels)
     _check_reach(scene, chosen)
     builder = _Builder(scene, tangents, attributes, deforming)
     if chosen == 1:
         builder.flatten()
     else:
         builder.keep_instances()
-    return builder.finish(chosen, why)
+    geometry = builder.finish(chosen)
+    return grow_trees(geometry) if trees else geometry
+
+
+def grow_trees(geometry: Geometry) -> Geometry:
+    """With the tree of every mesh that has none, from the disk where one over the same triangles is kept."""
+    if all(m.tree is not None for m in geometry.meshes):
+        return geometry
+    ends = [*(m.first_triangle for m in geometry.meshes[1:]), len(geometry.triangles)]
+    trees = (m.tree or _tree(geometry, m, end) for m, end in zip(geometry.meshes, ends, strict=True))
+    return replace(
+        geometry, meshes=tuple(replace(m, tree=tree) for m, tree in zip(geometry.meshes, trees, strict=True))
+    )
+
+
+def _tree(geometry: Geometry, mesh: MeshData, end: int) -> Blas:
+    """Over rows first_triangle..end-1, which it knows by their place in the mesh."""
+    rows = geometry.triangles[mesh.first_triangle : end]
+    balls = [row - mesh.first_triangle for row, _, _ in mesh.spheres]
+    flat = np.ones(len(rows), bool)
+    flat[balls] = False
+    return load_or_build(
+        geometry.vertices[rows[flat, :3], :3],
+        np.flatnonzero(flat).astype(np.uint32),
+        rows[flat, 3],
+        spheres=np.array([ball for _, _, ball in mesh.spheres], np.float32).reshape(-1, 4),
+        sphere_triangle=np.array(balls, np.uint32),
+        sphere_geometry=np.array([number for _, number, _ in mesh.spheres], np.uint32),
+        split=geometry.may_split,
+    )
 
 
 class _Builder:
@@ -208,36 +241,21 @@ class _Builder:
             self.dropped += sum(len(p.index) if isinstance(p, Triangles) else 1 for p in pieces)
         return [(i, self.scene.instances[i]) for i in np.flatnonzero(fine).tolist()]
 
-    def mark(self) -> tuple[int, int, int]:
-        """Where a mesh begins: pieces, triangles, vertices so far."""
-        return len(self.triangles), self.triangle_count, self.vertex_count
+    def mark(self) -> tuple[int, int]:
+        """Where a mesh begins: triangles, vertices so far."""
+        return self.triangle_count, self.vertex_count
 
     def close_mesh(
         self,
-        mark: tuple[int, int, int],
+        mark: tuple[int, int],
         ranges: list[tuple[int, int]],
         spheres: list[tuple[int, int, F32]],
     ) -> bool:
-        """Builds the tree over everything since `mark`; False if nothing is left to trace."""
-        piece, first, vertex = mark
+        """A mesh of everything since `mark`; False if nothing is left to draw."""
+        first, vertex = mark
         if first == self.triangle_count:
             return False
-        rows = np.concatenate(self.triangles[piece:])
-        ids = np.arange(len(rows), dtype=np.uint32)
-        flat = np.ones(len(rows), bool)
-        flat[[s[0] - first for s in spheres]] = False
-        rows, ids = rows[flat], ids[flat]
-        position = np.concatenate([v[:, :3] for v in self.vertices[piece:]])[rows[:, :3] - np.uint32(vertex)]
-        blas = load_or_build(
-            position,
-            ids,
-            rows[:, 3].copy(),
-            spheres=np.array([s[2] for s in spheres], np.float32).reshape(-1, 4),
-            sphere_triangle=np.array([s[0] - first for s in spheres], np.uint32),
-            sphere_geometry=np.array([s[1] for s in spheres], np.uint32),
-            split=self.may_split,
-        )
-        self.meshes.append(MeshData(first, tuple(ranges), blas, vertex, tuple(spheres)))
+        self.meshes.append(MeshData(first, tuple(ranges), vertex, tuple(spheres)))
         return True
 
     def flatten(self) -> None:
@@ -264,7 +282,7 @@ class _Builder:
             else:
                 ranges.append(self.add_piece(mesh, k, geometry, to_mesh))
             self.records.append((self.hit_group(primitive, material), number))
-        if self.close_mesh((0, 0, 0), ranges, spheres):
+        if self.close_mesh((0, 0), ranges, spheres):
             pose = np.eye(4)
             pose[:3, 3] = centre
             self.place(0, pose, layout.CONSTANTS["ID_NONE"], 0)
@@ -305,7 +323,7 @@ class _Builder:
         self.instance_id.append(scene_id)
         self.first_record.append(first_record)
 
-    def finish(self, levels: int, why: str) -> Geometry:
+    def finish(self, levels: int) -> Geometry:
         if self.triangle_count >= 2**27:
             raise GeometryError(f"{self.scene.name}: {self.triangle_count} triangles; the tree's limit is {2**27 - 1}")
         materials = tuple(self.scene.materials[i] for i in self.material_rows)
@@ -327,7 +345,7 @@ class _Builder:
             source_triangle=np.concatenate(self.sources) if self.sources else np.zeros(0, np.uint32),
             dropped=self.dropped,
             flattened_away=self.flattened_away,
-            why_levels=why,
+            may_split=self.may_split,
         )
 
 

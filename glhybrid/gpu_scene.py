@@ -3,26 +3,26 @@
 `resources` holds everything by its GLSL name; a buffer that the scene does not need is not there.
 """
 
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import moderngl
 import numpy as np
 
-from glhybrid import bvh, layout, textures
-from glhybrid.bvh import Blas, Tlas
-from glhybrid.bvh.fragments import LEAF
+from glhybrid import layout, textures
 from glhybrid.context import Context
 from glhybrid.errors import GeometryError
 from glhybrid.geometry import Geometry
 from glhybrid.gl import BufferTexture
+from glhybrid.gpu_trees import EMPTY_TREE, GpuTrees
 from glhybrid.keys import MANY
 from glhybrid.motion import Moment, Motion
 from glhybrid.needs import Features
-from glhybrid.scene import F32, F64, SRGB_SLOTS, TEXTURE_SLOTS, U32, Light, Material, Scene
+from glhybrid.scene import F32, F64, SRGB_SLOTS, TEXTURE_SLOTS, Light, Material, Scene
 
 _CAUSE = {"Lights": "lights", "Materials": "materials", "Textures": "textures", "TextureLevels": "textures"}
-SPARE_LEVELS = 8  # of the stack, for top-level trees that come out deeper as things move
+
+
+NO_TREES = {"nodes": 0, "depth": 0, "sah_cost": 0.0, "build_ms": 0.0, "bytes": 0}
 
 
 class MovedTree(NamedTuple):
@@ -33,16 +33,10 @@ class MovedTree(NamedTuple):
     bounds: F64
 
 
-REF_RETURN = 0xFFFFFFFE  # as in lib/bvh.glsl: back to the world's ray; nothing to do for one that is there already
-
-# One node whose two children are leaves of nothing: where a ray through a scene without triangles ends at once.
-EMPTY_TREE = np.array([[0, 0, 0, 0x80000000, 0, 0, 0, 0x80000000]], np.uint32)
-
-
 class GpuScene:
-    """Owns the GL objects of one scene. motion: what will move; trees that it deforms have room to be built anew.
+    """Owns the GL objects of one scene. motion: what will move. rebuild: as Settings.rebuild, for the top-level tree.
 
-    rebuild: growth of the top-level tree's SAH cost that has it built anew, as Settings.rebuild.
+    Trees are there if `geometry` has them, else from add_trees() on.
     """
 
     def __init__(
@@ -56,9 +50,9 @@ class GpuScene:
     ) -> None:
         self._context = context
         self._owned: list[Any] = []
+        self._origin: F64 | None = None
         self.scene, self.geometry = scene, geometry
         self.resources: dict[str, Any] = {}
-        self.draw_records: list[tuple[tuple[int, int], list[tuple[int, int, int, int]]]] = []
         self._world: F64 = geometry.world_from_object
         count = len(self._world)
         self._inverse: F64 = np.empty((count, 3, 3))  # of the linear part of _world
@@ -68,40 +62,17 @@ class GpuScene:
         rows = np.flatnonzero(movable)
         self._span = (int(rows[0]), int(rows[-1]) + 1) if len(rows) else (0, 0)  # rows that a move may change
         self._stale = True  # moved since the last rebase
-        self._rebuild, self._built_cost = rebuild, np.inf
-        self.tops_built = 0  # top-level trees since the scene was loaded
         self._previous: F64 | None = None
-        self._bounds = np.array([m.blas.bounds for m in geometry.meshes]).reshape(-1, 2, 3)
-        self._depth = [m.blas.depth for m in geometry.meshes]
-        deforming = {self.mesh_of_instance(d.instances[0]) for d in motion.deformers} if motion is not None else set()
-        nodes, slots, roots = bvh.pack(
-            [_roomy(m.blas) if row in deforming else m.blas for row, m in enumerate(geometry.meshes)]
-        )
-        # Slots name triangles by their place in the mesh; hits carry the row of the whole table.
-        starts = np.concatenate(
-            [np.full(len(m.blas.slots), m.first_triangle, np.uint32) for m in geometry.meshes]
-            or [np.zeros(0, np.uint32)]
-        )
-        slots = slots.copy()
-        slots[:, 3] += starts
-        slots[:, 7] |= self._slot_flags(slots[:, 7])
-        ends = np.cumsum([0, *(len(m.blas.slots) for m in geometry.meshes)]).tolist()
-        self._slot_first, self._node_first = ends, [*roots.tolist(), len(nodes)]
-        self._slot_words = {row: _by_geometry(slots[ends[row] : ends[row + 1], 7]) for row in deforming if row >= 0}
-        self._roots = roots
+        self._bounds = np.zeros((len(geometry.meshes), 2, 3))  # of trees
         self._instances = self._instance_rows()
         self._place(0, count)
-        self._tlas: Tlas | None = None
-        self.top_root = 0
-        if features.two_level and geometry.meshes:
-            self._centre = scene.bounds().mean(0)
-            self._tlas = bvh.build_tlas(self._boxes - self._centre, moving=motion is not None)
-            self._built_cost = self._tlas.sah_cost
-            self.top_root = len(nodes)
-            nodes = np.concatenate([nodes.reshape(-1, 8), self._top_nodes()])
-        self.stack_entries = self.stack_needed(SPARE_LEVELS if motion is not None else 0)
-        self._texels("nodes", nodes if len(nodes) else EMPTY_TREE)
-        self._texels("slots", slots)
+        self.trees: GpuTrees | None = None
+        self._make_trees = (features.two_level, motion, rebuild)
+        if all(m.tree is not None for m in geometry.meshes):
+            self.add_trees(geometry)
+        elif features.buffer_array:  # programs that send no ray name trees all the same: see lib/buffers.glsl
+            self._texels("nodes", EMPTY_TREE)
+            self._texels("slots", np.zeros((0, 12), np.uint32))
         self._texels("vertices", geometry.vertices)
         self._texels("triangles", geometry.triangles)
         if geometry.tangents is not None:
@@ -110,9 +81,44 @@ class GpuScene:
             self._texels("attributes", geometry.attributes)
         self._upload_tables(features)
         self.resources["Instances"] = self._buffer("Instances", self._instances.nbytes)
-        self.lights = scene.lights if features.shadow_rays or features.visibility or scene.lights else ()
+        self.lights = scene.lights
         self.resources["Lights"] = self._buffer("Lights", max(len(self.lights), 1) * layout.dtype("Light").itemsize)
-        self._origin: F64 | None = None
+
+    def add_trees(self, geometry: Geometry) -> None:
+        """Readies the scene for rays. geometry: the same with the trees of its meshes (geometry.grow_trees)."""
+        two_level, motion, rebuild = self._make_trees
+        self.geometry = geometry
+        deforming = {self.mesh_of_instance(d.instances[0]) for d in motion.deformers} if motion is not None else set()
+        if geometry.meshes:
+            self._bounds = np.array([m.blas.bounds for m in geometry.meshes])
+            self._place(0, len(self._world))
+        boxes = self._boxes if two_level and geometry.meshes else None
+        self.trees = GpuTrees(self._texels, geometry, boxes, deforming, motion is not None, rebuild, self.scene.name)
+        if geometry.meshes:
+            mesh, rows = geometry.instance_mesh, self._instances
+            rows["grid_min"] = np.stack([m.blas.grid_min for m in geometry.meshes])[mesh]
+            rows["grid_step"] = np.stack([m.blas.grid_step for m in geometry.meshes])[mesh]
+            rows["root"] = self.trees.roots[mesh]
+        self._origin = None  # all rows are uploaded by the next rebase
+
+    @property
+    def stack_entries(self) -> int:
+        """Of a ray's stack, with room for what moves. Only once there are trees."""
+        assert self.trees is not None
+        return self.trees.stack_entries
+
+    def stack_needed(self) -> int:
+        """The same as trees are now."""
+        return self.trees.stack_needed() if self.trees is not None else 0
+
+    @property
+    def top_root(self) -> int:
+        """Row of nodes of the top-level tree."""
+        return self.trees.top_root if self.trees is not None else 0
+
+    def top_grid(self, origin: F64) -> tuple[F64, F64]:
+        """(grid_min, grid_step) of the top-level tree in the world rebased on origin."""
+        return self.trees.top_grid(origin) if self.trees is not None else (np.zeros(3), np.ones(3))
 
     @property
     def buffer_bytes(self) -> int:
@@ -125,23 +131,8 @@ class GpuScene:
         )
 
     def bvh_stats(self) -> dict[str, Any]:
-        """What the receipt says of the trees. sah_cost: mean over meshes, weighted by triangles."""
-        blases = [m.blas for m in self.geometry.meshes]
-        weights = np.array([max(len(b.slots), 1) for b in blases], np.float64)
-        cost = float(np.average([b.sah_cost for b in blases], weights=weights)) if blases else 0.0
-        nodes = sum(len(b.nodes) for b in blases)
-        depth = max((b.depth for b in blases), default=0)
-        if self._tlas is not None:
-            nodes += len(self._tlas.nodes)
-            depth += self._tlas.depth
-        return {
-            "levels": self.geometry.levels,
-            "nodes": nodes,
-            "depth": depth,
-            "sah_cost": cost,
-            "build_ms": float(sum(b.build_ms for b in blases) + (self._tlas.build_ms if self._tlas else 0.0)),
-            "bytes": self.resources["nodes"].buffer.size + self.resources["slots"].buffer.size,
-        }
+        """What the receipt says of the trees; zeros where there are none."""
+        return {"levels": self.geometry.levels} | (self.trees.stats() if self.trees is not None else NO_TREES)
 
     def rebase(self, origin: F64) -> None:
         """Moves the world so that `origin` (3,) float64 is zero, and uploads what that changes: matrices and lights."""
@@ -222,24 +213,8 @@ class GpuScene:
             ours = geometry.instance_mesh == mesh
             rows["grid_min"][ours], rows["grid_step"][ours] = tree.grid_min, tree.grid_step
         self._place(*self._span)
-        self._move_top()
-
-    def _move_top(self) -> None:
-        """The top-level tree over the boxes as they are: refitted, or built anew once that has made it worse."""
-        boxes, old = self._boxes, self._tlas
-        self._centre = (boxes[:, 0].min(0) + boxes[:, 1].max(0)) / 2
-        moved = boxes - self._centre
-        tree = None
-        if old is not None and len(boxes) >= MANY and self._rebuild != 1:
-            tree = bvh.refit_tlas(old, moved)
-            if self._rebuild and tree.sah_cost > self._rebuild * self._built_cost:
-                tree = None
-        if tree is None:
-            tree = bvh.build_tlas(moved, moving=True)
-            self._built_cost = tree.sah_cost
-            self.tops_built += 1
-        self._tlas = tree
-        self.resources["nodes"].buffer.write(self._top_nodes(), offset=self.top_root * 32)
+        if self.trees is not None and self.trees.top is not None:
+            self.trees.move_top(self._boxes)
 
     def keep_previous(self, vertices: bool) -> None:
         """Makes room for where instances, and vertices too, were a frame ago: the motion AOV reads it."""
@@ -272,33 +247,6 @@ class GpuScene:
         found = np.flatnonzero(self.geometry.instance_id == number)
         return int(self.geometry.instance_mesh[found[0]]) if len(found) else -1
 
-    def node_first(self, mesh: int) -> int:
-        """Row of nodes of a mesh's root."""
-        return int(self._node_first[mesh])
-
-    def node_capacity(self, mesh: int) -> int:
-        """How many nodes a mesh's tree may have."""
-        return int(self._node_first[mesh + 1] - self._node_first[mesh])
-
-    def replace_tree(self, mesh: int, blas: Blas) -> None:
-        """Another tree over the same triangles, which it names by their place in the mesh."""
-        root, slot = self.node_first(mesh), self._slot_first[mesh]
-        assert len(blas.nodes) <= self.node_capacity(mesh)
-        nodes, slots = blas.nodes.copy(), blas.slots.copy()
-        refs = nodes[:, 3::4]
-        refs += np.where(refs < LEAF, np.uint32(root), np.uint32(slot << 4))
-        slots[:, 3] += np.uint32(self.geometry.meshes[mesh].first_triangle)
-        slots[:, 7] = self._slot_words[mesh][slots[:, 7]]
-        self.resources["nodes"].buffer.write(nodes, offset=root * 32)
-        self.resources["slots"].buffer.write(slots, offset=slot * 48)
-        self._depth[mesh] = blas.depth
-
-    def top_grid(self, origin: F64) -> tuple[F64, F64]:
-        """(grid_min, grid_step) of the top-level tree in the world rebased on origin."""
-        if self._tlas is None:
-            return np.zeros(3), np.ones(3)
-        return self._tlas.grid_min + self._centre - origin, self._tlas.grid_step.astype(np.float64)
-
     def release(self) -> None:
         for owned in reversed(self._owned):
             owned.release()
@@ -326,7 +274,7 @@ class GpuScene:
         self._owned.append(buffer)
         self.resources[name] = buffer
 
-    def _texels(self, name: str, rows: np.ndarray) -> None:
+    def _texels(self, name: str, rows: np.ndarray) -> BufferTexture:
         texels = rows.nbytes // 16
         limit = self._context.limits.texture_buffer_texels
         if texels > limit:
@@ -338,6 +286,7 @@ class GpuScene:
         view = BufferTexture(self._context.raw, buffer)
         self._owned += [buffer, view]
         self.resources[name] = view
+        return view
 
     def _upload_tables(self, features: Features) -> None:
         geometry = self.geometry
@@ -366,62 +315,9 @@ class GpuScene:
         rows = np.zeros(max(len(geometry.instance_mesh), 1), layout.dtype("Instance"))
         if not len(geometry.instance_mesh):
             return rows
-        mesh = geometry.instance_mesh
-        rows["grid_min"] = np.stack([m.blas.grid_min for m in geometry.meshes])[mesh]
-        rows["grid_step"] = np.stack([m.blas.grid_step for m in geometry.meshes])[mesh]
-        rows["root"] = np.asarray(self._roots, np.uint32)[mesh]
         rows["first_record"] = geometry.first_record
         rows["id"] = geometry.instance_id
         return rows
-
-    def _slot_flags(self, geometry: np.ndarray) -> np.ndarray:
-        """SLOT_* bits: what the hit groups of a geometry say, so that plain triangles need no look at their record."""
-        tables = []
-        opaque, bits = layout.CONSTANTS["ANY_HIT_OPAQUE"], layout.CONSTANTS
-        for number, mesh in enumerate(self.geometry.meshes):
-            ask, single, double = (np.zeros(len(mesh.geometries), bool) for _ in range(3))
-            for first in np.unique(self.geometry.first_record[self.geometry.instance_mesh == number]):
-                groups = self.geometry.hit_groups[self.geometry.records[first : first + len(ask), 0]]
-                ask |= groups[:, 2] != opaque
-                single |= groups[:, 3] == 1
-                double |= groups[:, 3] == 0
-            ask |= single & double  # instances differ: each hit looks
-            tables.append(
-                np.where(ask, bits["SLOT_ASK"], np.where(single, bits["SLOT_SINGLE_SIDED"], 0)).astype(np.uint32)
-            )
-        starts = np.cumsum([0] + [len(t) for t in tables[:-1]])
-        rows = geometry + np.repeat(starts, [len(m.blas.slots) for m in self.geometry.meshes]) if tables else geometry
-        return np.concatenate([*tables, np.zeros(0, np.uint32)])[rows]
-
-    def _top_nodes(self) -> U32:
-        """(N, 8) nodes of the top-level tree, where they lie behind all others."""
-        assert self._tlas is not None
-        nodes = self._tlas.nodes.reshape(-1, 8).copy()
-        refs = nodes[:, 3::4]
-        refs[refs == LEAF] = REF_RETURN  # the empty child of a single instance, which must not be entered twice
-        refs[refs < LEAF] += np.uint32(self.top_root)
-        return nodes
-
-    def stack_needed(self, spare: int = 0) -> int:
-        """Entries of the traversal stack: depth of the trees, the sentinels, and one spare, in fours."""
-        entries = max(self._depth, default=0) + spare + 2 + (self._tlas.depth + 2 if self._tlas is not None else 0)
-        if entries > 128:
-            raise GeometryError(f"{self.scene.name}: trees {entries} deep exceed the traversal stack's limit of 128")
-        return -(-entries // 4) * 4
-
-
-def _roomy(blas: Blas) -> Blas:
-    """With as many nodes as any tree over its triangles may have, the last ones not in use."""
-    spare = max(len(blas.slots) - len(blas.nodes), 0)
-    return replace(blas, nodes=np.concatenate([blas.nodes, np.zeros((spare, 8), np.uint32)]))
-
-
-def _by_geometry(words: U32) -> U32:
-    """The word that the slots of each geometry carry, by geometry."""
-    geometry = words & np.uint32(layout.CONSTANTS["SLOT_GEOMETRY"])
-    table = np.zeros(int(geometry.max(initial=0)) + 1, np.uint32)
-    table[geometry] = words
-    return table
 
 
 def light_rows(lights: tuple[Light, ...], origin: F64) -> np.ndarray:

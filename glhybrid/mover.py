@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from glhybrid.context import Context
-from glhybrid.gpu_scene import GpuScene
+from glhybrid.gpu_scene import GpuScene, MovedTree
 from glhybrid.motion import Motion
 from glhybrid.needs import Features
 from glhybrid.passes.refit import Refit
@@ -27,6 +27,7 @@ class Mover:
     def __init__(
         self, context: Context, shaders: Shaders, upload: GpuScene, motion: Motion, features: Features, rebuild: float
     ) -> None:
+        self._context, self._shaders, self._features, self._rebuild = context, shaders, features, rebuild
         self._finish = context.gl.finish
         self._upload = upload
         self.motion = motion
@@ -37,8 +38,13 @@ class Mover:
         self._shown = [i for i, d in enumerate(motion.deformers) if upload.mesh_of_instance(d.instances[0]) >= 0]
         if self._shown:
             self.skin = Skin(context, shaders, upload, motion, features)
+        self.follow_trees()
+
+    def follow_trees(self) -> None:
+        """To be called when the scene got trees: from then on they move too."""
+        if self.skin is not None and self.refit is None and self._upload.trees is not None:
             meshes = [self.skin.meshes[i] for i in self._shown]
-            self.refit = Refit(context, shaders, upload, meshes, features, rebuild)
+            self.refit = Refit(self._context, self._shaders, self._upload, meshes, self._features, self._rebuild)
 
     def show(self, time: float, timed: bool = True) -> Scene:
         """Everything where the clip has it at a time in seconds; what was there becomes the frame before.
@@ -50,11 +56,12 @@ class Mover:
         if timed:
             self.ms = {}
         moment = self._timed("pose", lambda: self.motion.at(time))
-        trees = {}
-        if self.skin is not None and self.refit is not None:
-            skin, refit = self.skin, self.refit
+        trees: dict[int, MovedTree] = {}
+        skin, refit = self.skin, self.refit
+        if skin is not None:
             self._upload.copy_vertices()
             self._timed("skin", lambda: skin.run(moment.shapes))
+        if refit is not None:
             trees = self._timed("refit", lambda: refit.run([moment.shapes[i] for i in self._shown]))
         self._timed("tlas", lambda: self._upload.move(moment, trees))
         return self.motion.start.replace(lights=moment.lights, cameras=moment.cameras)

@@ -23,6 +23,7 @@ class Plan:
 
     features: Features
     levels: int
+    trees: bool  # something sends rays
     primary: str  # raster or trace
     split: bool  # reflections in three programs
     passes: tuple[str, ...]
@@ -55,11 +56,12 @@ def make(
     if motion is None:
         levels, why = choose_levels(scene, settings.levels, software)
     reference = settings.reflections == "reference"
-    reasons = [f"{levels} level{'s' if levels > 1 else ''} of trees: {why}"]
     primary: str = settings.primary
+    why_primary = ""
     if primary == "auto":
-        primary, why = tuning.primary(size[0] * size[1], scene.triangle_count())
-        reasons.append(why)
+        primary, why_primary = tuning.primary(size[0] * size[1], scene.triangle_count())
+    trees = bool(scene.instances) and (primary == "trace" or _sends_rays(found.features, settings))
+    reasons = [f"{levels} level{'s' if levels > 1 else ''} of trees: {why}"] * trees + [why_primary] * bool(why_primary)
     features = found.features.replace(
         two_level=levels == 2,
         clip_control=clip_control,
@@ -81,10 +83,12 @@ def make(
             + ("every reflection looks for them with rays" if features.mirror_rays else "they are not reflected")
         )
     skipped = list(found.skipped)
+    if not trees:
+        skipped.append("trees: " + ("nothing sends rays" if scene.instances else "nothing is drawn"))
     passes = ["gbuffer"]
     if motion is not None and motion.deformers:
-        passes = ["skin", "refit", "gbuffer"]
-        reasons.append(deforming_reason(len(motion.deformers), settings.rebuild))
+        passes = ["skin", *["refit"] * trees, "gbuffer"]
+        reasons += [deforming_reason(len(motion.deformers), settings.rebuild)] * trees
     else:
         skipped.append("skin and refit: " + ("nothing moves" if motion is None else "nothing changes shape"))
     if reference:
@@ -97,11 +101,27 @@ def make(
         passes += _mirror_passes(features, settings)
         passes += ["denoise"] * (features.denoise or features.denoise_shadows) + ["composite"]
     passes.append("display")
-    return Plan(features, levels, primary, split, tuple(passes), tuple(reasons), tuple(skipped))
+    return Plan(features, levels, trees, primary, split, tuple(passes), tuple(reasons), tuple(skipped))
+
+
+def _sends_rays(features: Features, settings: Settings) -> bool:
+    """Whether a pass looks into trees, besides traced primary visibility. Light maps are traced once."""
+    return (
+        settings.reflections == "reference"
+        or (features.visibility and not features.shadow_maps)
+        or features.mirror_rays
+        or (features.occlusion and settings.ao == "ray")
+        or features.blended
+    )
 
 
 def resized(plan: Plan, tuning: Tuning, triangles: int, size: tuple[int, int]) -> Plan:
-    """The same plan at another size: which of raster and rays is faster depends on it. For settings.primary = auto."""
+    """The same plan at another size: which of raster and rays is faster depends on it. For settings.primary = auto.
+
+    Where nothing sends rays there are no trees, and none are built for it.
+    """
+    if not plan.trees:
+        return plan
     primary, why = tuning.primary(size[0] * size[1], triangles)
     reasons = (why if reason.startswith(VISIBILITY) else reason for reason in plan.reasons)
     return replace(plan, primary=primary, reasons=tuple(reasons))

@@ -36,6 +36,7 @@ from glhybrid.view import View, choose_camera, make_view
 
 LIVE = frozenset({"exposure", "tone", "aa", "bounces", "seed"})  # settings that change numbers of a frame only
 LIT_AHEAD = {"baked", "probe"}  # techniques that hold light from when they were staged
+UNUSED_STACK = 4  # entries, for programs that hold the code of rays and send none
 OF_SURFACES = (
     "occlusion", "reflections", "mirror_rays", "march", "glossy", "probes", "probes_blurred", "denoise",
     "denoise_shadows", "visibility", "shadow_maps", "shadow_rays", "shadow_bits", "lightmap",
@@ -89,6 +90,11 @@ class Staged:
     ) -> None:
         """All but trees and buffers."""
         context, shaders, settings = self.context, self.shaders, self.settings
+        if self.plan.trees and self.upload.trees is None:  # a staging that shares the upload had no use for them
+            without, what = self.upload.geometry, f"building trees over {self._triangles:,} triangles"
+            self.upload.add_trees(aside.run(lambda: geometry.grow_trees(without), progress, what))
+            if self.mover is not None:
+                self.mover.follow_trees()
         self.features = self._specialised(moving)
         self.constants = FrameConstants(context, start, settings)
         self.sky = Sky(context, shaders, start.environment, self.features)
@@ -114,16 +120,17 @@ class Staged:
         self._number, self._looks = 0, 0  # frames since the history began, looks since the last one
 
     def _upload(self, moving: motion.Motion | None, progress: Progress | None) -> tuple[GpuScene, Mover | None]:
-        """Trees and buffers of the scene, and what moves them."""
+        """Buffers of the scene, trees if there is a use for them, and what moves them."""
         features, rebuild = self.plan.features, self.settings.rebuild
 
         def build() -> geometry.Geometry:
             return geometry.build(
                 self.drawn, self.plan.levels, tangents=features.tangents, attributes=features.extra_attributes,
-                deforming=moving.deforming if moving is not None else frozenset(),
+                deforming=moving.deforming if moving is not None else frozenset(), trees=self.plan.trees,
             )  # fmt: skip
 
-        data = aside.run(build, progress, f"building trees over {self._triangles:,} triangles")
+        what = "building trees over" if self.plan.trees else "gathering"
+        data = aside.run(build, progress, f"{what} {self._triangles:,} triangles")
         if progress is not None:
             progress("uploading", 0, 0)
         upload = GpuScene(self.context, self.drawn, data, features, moving, rebuild)
@@ -140,7 +147,7 @@ class Staged:
             upload.keep_previous(vertices=bool(moving.deformers))
             features = features.replace(moving=True, deforming=bool(moving.deformers))
         return features.replace(
-            bvh_stack=max(upload.stack_entries, upload.stack_needed()),
+            bvh_stack=max(upload.stack_entries, upload.stack_needed()) if self.plan.trees else UNUSED_STACK,
             reason="reason" in self.aovs,
             exact_distance="reflection_hit" in self.aovs,
         )
@@ -213,7 +220,7 @@ class Staged:
     @property
     def outgrown(self) -> bool:
         """Whether trees have become too deep for the programs."""
-        return self.upload.stack_needed() > self.features.bvh_stack
+        return self.plan.trees and self.upload.stack_needed() > self.features.bvh_stack
 
     def aim(self, settings: Settings, camera: int | str | Camera | None, timed: bool = True) -> View:
         """Everything to the time of the settings, and the view of a camera there. timed: wait for the parts of it."""

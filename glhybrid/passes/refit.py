@@ -31,7 +31,8 @@ class Refit:
     def __init__(
         self, context: Context, shaders: Shaders, scene: GpuScene, meshes: list[int], features: Features, rebuild: float
     ) -> None:
-        self._gl, self._scene = context.gl, scene
+        assert scene.trees is not None
+        self._gl, self._scene, self._held = context.gl, scene, scene.trees
         self.meshes = meshes
         self._rebuild = rebuild
         self._blas = {m: scene.geometry.meshes[m].blas for m in meshes}
@@ -45,7 +46,7 @@ class Refit:
         buffers = {name: scene.resources[key].buffer for name, key in (
             ("Triangles", "triangles"), ("Vertices", "vertices"), ("Nodes", "nodes"), ("Slots", "slots"))}  # fmt: skip
         self._tree_buffer = self._gl.buffer(reserve=self._trees.nbytes)
-        capacity = sum(scene.node_capacity(m) for m in meshes)
+        capacity = sum(self._held.node_capacity(m) for m in meshes)
         self._order_buffer = self._gl.buffer(reserve=8 * capacity)
         self._resources: dict[str, Any] = buffers | {"RefitTrees": self._tree_buffer, "RefitOrder": self._order_buffer}
         self._levels: list[tuple[int, int]] = []
@@ -80,7 +81,7 @@ class Refit:
         return at_once(self._reading(mesh))
 
     def _reading(self, mesh: int) -> Reading[float]:
-        first, count, step = self._scene.node_first(mesh), len(self._blas[mesh].nodes), self._step[mesh]
+        first, count, step = self._held.node_first(mesh), len(self._blas[mesh].nodes), self._step[mesh]
         data = yield Piece(self._scene.resources["nodes"].buffer, first * 32, count * 32)
         return sah_cost(np.frombuffer(data, np.uint32).reshape(-1, 8), step.astype(np.float64))
 
@@ -109,7 +110,7 @@ class Refit:
         vertices = np.frombuffer(buffer.read((last - first + 1) * 32, offset=first * 32), np.float32).reshape(-1, 8)
         blas = bvh.build_blas(vertices[rows[:, :3] - first, :3], geometry=rows[:, 3].copy())
         self._blas[mesh], self._step[mesh] = blas, blas.grid_step
-        self._scene.replace_tree(mesh, blas)
+        self._held.replace(mesh, blas)
         self._order()
         self.rebuilt += 1
         return MovedTree(blas.grid_min, blas.grid_step, blas.bounds)
@@ -118,7 +119,7 @@ class Refit:
         """Nodes of all trees by level, the deepest level first."""
         levels: dict[int, list[U32]] = {}
         for tree, mesh in enumerate(self.meshes):
-            first = self._scene.node_first(mesh)
+            first = self._held.node_first(mesh)
             for depth, nodes in enumerate(levels_of(self._blas[mesh])):
                 pairs = np.column_stack([nodes + first, np.full(len(nodes), tree)]).astype(np.uint32)
                 levels.setdefault(depth, []).append(pairs)

@@ -66,7 +66,7 @@ def test_hits_stay_exact_while_all_move(context: "Context", rebuild: float, buil
             for these in (*sets, Rays.make(origin, ray.unit(aimed - origin))):
                 verdict = oracles.compare(tracer, these, tracer.trace(these), embree, corners, rows)
                 assert verdict.wrong == 0 and verdict.hits > n // 20, verdict
-        assert tracer.upload.tops_built == built
+        assert tracer.upload.trees is not None and tracer.upload.trees.tops_built == built
 
 
 def test_compiled_rows_are_those_of_numpy(context: "Context", monkeypatch: pytest.MonkeyPatch) -> None:
@@ -114,8 +114,8 @@ def test_only_what_moves_is_uploaded(context: "Context", monkeypatch: pytest.Mon
         monkeypatch.setattr(nodes, "buffer", Watched("nodes", nodes.buffer))
         renderer._staged.mover.show(0.4)  # type: ignore[union-attr]
         upload.rebase(upload._origin)
-        assert upload._tlas is not None
-        tree = ("nodes", 32 * upload.top_root, upload._tlas.nbytes)
+        assert upload.trees is not None and upload.trees.top is not None
+        tree = ("nodes", 32 * upload.top_root, upload.trees.top.nbytes)
         assert [w for w in written if w[0] != "Lights"] == [tree, ("Instances", still * size, (COUNT - still) * size)]
         monkeypatch.undo()
 

@@ -282,6 +282,26 @@ def test_every_clip_of_a_file_plays_as_it_is_sought(context: "Context", models: 
         assert any((a.rgb != b.rgb).any() for a, b in pairwise(played))
 
 
+def test_trees_that_come_late_move_too(context: "Context", models: Path) -> None:
+    """Depth maps need none; rays have them built, where vertices are by then, and refitted from there on."""
+    scene, names = load(models / FILES["CesiumMan"]), ("visibility", "instance_id")
+    maps, rays = (Settings(aa=1, shadows=name, reflections="none", primary="raster") for name in ("map", "ray"))
+    with Renderer(context=context) as renderer:
+        before = renderer.render(scene, size=(64, 48), settings=maps.replace(time=0.3), aovs=names)
+        passes = {p["name"] for p in before.receipt["passes"]}
+        assert "skin" in passes and "refit" not in passes and before.receipt["bvh"]["nodes"] == 0
+        assert renderer._staged is not None
+        upload = renderer._staged.upload
+        late = [renderer.render(scene, size=(64, 48), settings=rays.replace(time=t), aovs=names) for t in (0.5, 0.9)]
+        assert renderer._staged.upload is upload and "refit" in {p["name"] for p in late[1].receipt["passes"]}
+        renderer.render(scene, size=(64, 48), settings=maps.replace(time=0.1))
+    for frame, time in zip(late, (0.5, 0.9), strict=True):
+        with Renderer(context=context) as renderer:
+            want = renderer.render(scene, size=(64, 48), settings=rays.replace(time=time), aovs=names)
+        for name in ("radiance", *names):
+            np.testing.assert_array_equal(frame[name], want[name], err_msg=name)
+
+
 def test_what_stands_still_costs_nothing(context: "Context", models: Path) -> None:
     scene = load(models / FILES["CesiumMan"])
     with Renderer(context=context) as renderer:

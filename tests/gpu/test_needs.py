@@ -9,6 +9,8 @@ import pytest
 from rays import moved, scene_of
 
 import glhybrid as gh
+from glhybrid import geometry, plan
+from glhybrid.image import AOVS
 from glhybrid.load.shapes import box, torus
 from glhybrid.scene import Camera, Environment, Image, Light, Material, Scene, Sphere, Texture
 
@@ -220,3 +222,74 @@ def test_no_noise_no_filter(renderer: gh.Renderer) -> None:
     assert not any("coat" in i for i in both.images) and "denoise_moved" not in both.images
     coated = Ran(renderer, scene(replace(rough, clearcoat=1.0)), **glossy())
     assert {"reflection_coat", "reflection_coat_history_odd"} <= coated.images
+
+
+UNTRACED = [
+    {"shadows": shadows, "reflections": reflections, "ao": ao}
+    for shadows, reflections, ao in (
+        ("none", "none", "none"), ("map", "env", "none"), ("pcf", "none", "ssao"), ("pcss", "ssr", "ssao"),
+        ("csm", "probe", "none"), ("none", "ssr", "none"), ("none", "probe", "ssao"),
+    )
+]  # fmt: skip
+TRACED: list[dict[str, Any]] = [
+    {"shadows": "ray"}, {"shadows": "ray-soft"}, {"shadows": "baked"}, {"reflections": "ray-lerp"},
+    {"reflections": "ssr-ray"}, {"reflections": "ray-glossy"}, {"reflections": "reference", "samples": 1},
+    {"ao": "ray"}, {"primary": "trace"},
+]  # fmt: skip
+PLAIN = {"shadows": "none", "reflections": "none", "primary": "raster"}
+EVERY_AOV = tuple(AOVS)
+
+
+def bright(**more: Any) -> Scene:
+    """Something for every technique: a mirror, a lamp with a size, a sky that varies."""
+    sky = Environment(np.random.default_rng(0).uniform(0, 1, (8, 16, 3)).astype(np.float32))
+    return scene(Material(double_sided=True, roughness=0.2, **more), (replace(SUN[0], angular_diameter=0.1),), sky)
+
+
+@pytest.mark.parametrize("asked", UNTRACED, ids=lambda a: "-".join(a.values()))
+def test_no_ray_no_tree(renderer: gh.Renderer, monkeypatch: pytest.MonkeyPatch, asked: dict[str, Any]) -> None:
+    """No tree is built or uploaded, and no program reads one: all AOVs included.
+
+    Without lib/buffers.glsl's array, which names every buffer, a program that reads a tree fails to bind it.
+    """
+    made = plan.make
+    monkeypatch.setattr(
+        plan,
+        "make",
+        lambda *a, **k: (p := made(*a, **k)) and replace(p, features=p.features.replace(buffer_array=False)),
+    )
+    monkeypatch.setattr(geometry, "load_or_build", lambda *_, **__: pytest.fail("a tree was built"))
+    settings = gh.Settings(aa=1, exposure=0.0, primary="raster", **asked)
+    frame = renderer.render(bright(), CAMERA, SIZE, settings, EVERY_AOV)
+    told = frame.receipt
+    assert told["bvh"] == {"levels": 1, "nodes": 0, "depth": 0, "sah_cost": 0.0, "build_ms": 0.0, "bytes": 0}
+    assert "trees: nothing sends rays" in told["plan"]["skipped"]
+    staged = renderer.stage(bright(), settings, SIZE, EVERY_AOV)
+    assert not {"nodes", "slots"} & set(staged.upload.resources)
+    assert not frame["bvh_steps"].any() and (frame["instance_id"] < 2).any()
+
+
+@pytest.mark.parametrize("asked", TRACED, ids=lambda a: next(iter(a.values())))
+def test_a_tree_once_something_traces(renderer: gh.Renderer, asked: dict[str, Any]) -> None:
+    """Built then, for an upload that is shared: the picture is that of a renderer that had it from the start."""
+    made, settings = bright(), gh.Settings(aa=1, exposure=0.0, **{**PLAIN, **asked})  # type: ignore[arg-type]
+    before = renderer.render(made, CAMERA, SIZE, gh.Settings(aa=1, exposure=0.0, **PLAIN))  # type: ignore[arg-type]
+    upload = renderer._stagings[-1].upload
+    after = renderer.render(made, CAMERA, SIZE, settings, ("visibility", "reflection"))
+    assert renderer._stagings[-1].upload is upload
+    assert before.receipt["bvh"]["bytes"] == 0 < after.receipt["bvh"]["bytes"]
+    assert (
+        after.receipt["plan"]["buffer_bytes"] - before.receipt["plan"]["buffer_bytes"] >= after.receipt["bvh"]["bytes"]
+    )
+    with gh.Renderer(context=renderer.context) as fresh:
+        want = fresh.render(made, CAMERA, SIZE, settings, ("visibility", "reflection"))
+    for name in ("radiance", "visibility", "reflection"):
+        assert np.array_equal(after[name], want[name]), name
+    again = renderer.render(made, CAMERA, SIZE, gh.Settings(aa=1, exposure=0.0, **PLAIN))  # type: ignore[arg-type]
+    assert np.array_equal(again["radiance"], before["radiance"])
+
+
+def test_layers_need_a_tree(renderer: gh.Renderer) -> None:
+    glass = scene(Material(double_sided=True, alpha_mode="BLEND", base_color=(1, 1, 1, 0.5)))
+    assert Ran(renderer, glass, **PLAIN).frame.receipt["bvh"]["bytes"] > 0
+    assert Ran(renderer, scene_of(), **PLAIN).skipped("trees: nothing is drawn")
