@@ -19,9 +19,11 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glhybrid.context import Context
 from glhybrid.gl import GL_QUERY_RESULT, GL_TIMESTAMP
+from glhybrid.timing import T, Timing
 
 WARM_UP_S = 0.5  # of unpaced work: an H100 needs 0.29 s to reach its clock
 LAUNCHES_AT_ONCE = 4  # between two looks at the time during warm-up
@@ -96,15 +98,59 @@ def on_gpu(context: Context, works: Mapping[K, Work], repeats: int, warm_up_s: f
         gl.glFinish()
         samples[key].wall.append((time.perf_counter() - wall) / repeats * 1e3)
         samples[key].cpu.append((time.process_time() - cpu) / repeats * 1e3)
-    stamps = np.zeros(count, np.uint64)
-    value = c_uint64(0)
-    for i in range(count):
-        gl.glGetQueryObjectui64v(queries[i], GL_QUERY_RESULT, ctypes.byref(value))
-        stamps[i] = value.value
-    gl.glDeleteQueries(count, queries)
+    stamps = _stamps(context, queries)
     spans = (stamps[1::2].astype(np.float64) - stamps[0::2].astype(np.float64)).reshape(-1, repeats) / 1e6
     for key, span in zip(works, spans, strict=True):
         # A driver that says half of what really passed is not believed.
         if np.median(span) > 0.5 * samples[key].wall[0]:
             samples[key].gpu = span.tolist()
     return samples
+
+
+class PassClock(Timing):
+    """Milliseconds by pass as GL timestamps have it: nothing is finished in between, so that a pass of a tenth of a
+    millisecond is not drowned by its own end. Of queued passes; for GPUs."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context.gl.finish)
+        self._context = context
+        self._open: list[tuple[dict[str, float], str, c_uint, c_uint]] = []
+
+    def run(self, name: str, work: Callable[[], T]) -> T:
+        """The result of work(), queued between two timestamps."""
+        if not self.enabled:
+            return work()
+        gl, first, last = self._context.raw, c_uint(0), c_uint(0)
+        gl.glGenQueries(1, ctypes.byref(first))
+        gl.glGenQueries(1, ctypes.byref(last))
+        gl.glQueryCounter(first, GL_TIMESTAMP)
+        result = work()
+        gl.glQueryCounter(last, GL_TIMESTAMP)
+        self._open.append((self._frames[-1], name, first, last))
+        return result
+
+    def medians(self) -> dict[str, float]:
+        """By pass, over all frames but the first. Waits for them."""
+        if self._open:
+            names = (c_uint * (2 * len(self._open)))(*(q.value for row in self._open for q in row[2:]))
+            spans = np.diff(_stamps(self._context, names).astype(np.float64).reshape(-1, 2))[:, 0] / 1e6
+            for (frame, name, *_), ms in zip(self._open, spans.tolist(), strict=True):
+                frame[name] = frame.get(name, 0.0) + ms
+            self._open.clear()
+        return super().medians()
+
+
+def pass_clock(context: Context) -> Timing:
+    """What times the passes of a frame on this device."""
+    return Timing(context.gl.finish) if context.device.software else PassClock(context)
+
+
+def _stamps(context: Context, queries: "ctypes.Array[c_uint]") -> NDArray[np.uint64]:
+    """Nanoseconds of timestamp queries, which are then deleted. Waits for them."""
+    gl, count, value = context.raw, len(queries), c_uint64(0)
+    stamps = np.zeros(count, np.uint64)
+    for i in range(count):
+        gl.glGetQueryObjectui64v(queries[i], GL_QUERY_RESULT, ctypes.byref(value))
+        stamps[i] = value.value
+    gl.glDeleteQueries(count, queries)
+    return stamps
