@@ -99,7 +99,10 @@ class Passes:
         if denoise is not None:
             timed(denoise.name, lambda: denoise.begin(targets, ids))
         if shadow is not None:
-            visibility = timed(shadow.name, lambda: shadow.run(targets, ids, self._constants.choose_lights))
+            choose, wait = self._constants.choose_lights, {}
+            if isinstance(shadow, Shadow) and isinstance(reflect, Reflect) and denoise is None and occlusion is None:
+                wait = {"wait": False}  # a GPU begins with the mirror rays while the last of these are on their way
+            visibility = timed(shadow.name, lambda: shadow.run(targets, ids, choose, **wait))
             if denoise is not None:
                 timed(denoise.name, lambda: denoise.visibility(targets, visibility))
         if occlusion is not None:

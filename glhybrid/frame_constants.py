@@ -33,10 +33,9 @@ class FrameConstants:
     def under(self, scene: Scene, settings: Settings) -> None:
         """The fields of settings and environment."""
         angle = scene.environment.rotation if scene.environment else 0.0
-        auto = settings.exposure == "auto"
+        self.exposure_ev = None if settings.exposure == "auto" else float(settings.exposure)  # None: of the picture
         self.put(
-            seed=settings.seed, bounces=settings.bounces, exposure_ev=0.0 if auto else settings.exposure,
-            auto_exposure=auto, mirror_cutoff=techniques.cutoff(settings),
+            seed=settings.seed, bounces=settings.bounces, mirror_cutoff=techniques.cutoff(settings),
             tone_map=layout.CONSTANTS[f"TONE_{settings.tone.upper().replace('-', '_')}"],
             environment_x=(np.cos(angle), 0, -np.sin(angle)), environment_z=(np.sin(angle), 0, np.cos(angle)),
             environment_intensity=scene.environment.intensity if scene.environment else 0.0,

@@ -115,6 +115,7 @@ class GL:
 
     def __init__(self, load: Callable[[str], int]) -> None:
         self._load = load
+        self.buffer_textures: dict[int, int] = {}  # what is bound to GL_TEXTURE_BUFFER, by unit: only BufferTexture binds
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         if name not in _SIGNATURES:
@@ -215,12 +216,17 @@ class BufferTexture:
             gl.glTexBuffer(GL_TEXTURE_BUFFER, format, buffer.glo)
 
     def bind(self, unit: int) -> None:
-        """Binds to a texture unit for the samplers that were given that number."""
-        self._gl.glActiveTexture(GL_TEXTURE0 + unit)
-        self._gl.glBindTexture(GL_TEXTURE_BUFFER, self.glo)
+        """Binds to a texture unit for the samplers that were given that number. Costs nothing where it is bound already."""
+        bound = self._gl.buffer_textures
+        if bound.get(unit) != self.glo:
+            self._gl.glActiveTexture(GL_TEXTURE0 + unit)
+            self._gl.glBindTexture(GL_TEXTURE_BUFFER, self.glo)
+            bound[unit] = self.glo
 
     def release(self) -> None:
         """Frees the texture, not the buffer. Twice is harmless."""
         if self.glo:
             name, self.glo = c_uint(self.glo), 0
             self._gl.glDeleteTextures(1, ctypes.byref(name))
+            for unit in [unit for unit, bound in self._gl.buffer_textures.items() if bound == name.value]:
+                del self._gl.buffer_textures[unit]

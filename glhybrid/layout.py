@@ -46,8 +46,6 @@ STRUCTS: dict[str, list[Row]] = {
         ("uint", "bounces", "surface bounces after the first hit (reference)"),
         ("uint", "sample_count", "samples in this dispatch"),
         ("float", "accumulate", "weight of what the image already holds: 0 = overwrite"),
-        ("float", "exposure_ev", "EV; used unless auto_exposure"),
-        ("uint", "auto_exposure", "1 = from the log-average luminance"),
         ("uint", "tone_map", "TONE_*"),
         ("float", "mirror_cutoff", "roughness from which a surface sends no mirror ray; 1 = Kim's"),
         ("vec3", "environment_x", "rows of environment_from_world: rotation about +Y"),

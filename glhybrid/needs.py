@@ -43,6 +43,7 @@ class Features:
     mirror_rays: bool = False  # and traces, as do blended layers
     probes: bool = False  # captured surroundings stand before the sky
     probes_blurred: bool = False  # and not only exact mirrors show them
+    mirror_shadows: bool = False  # and what it meets sends its shadow rays in the same program
     march: bool = False  # and looks into the G-buffer first
     reflect_grid: int = 0  # which pixels send mirror rays before what is between them (layout GRID_*)
     pixel_list: bool = False  # or those on a list

@@ -25,7 +25,7 @@ class Plan:
     levels: int
     trees: bool  # something sends rays
     primary: str  # raster or trace
-    split: bool  # reflections in three programs
+    split: bool  # reflections in several programs
     passes: tuple[str, ...]
     reasons: tuple[str, ...]
     skipped: tuple[str, ...]
@@ -73,7 +73,9 @@ def make(
     split = split and settings.kernels != "fused"
     split = split and (settings.kernels == "split" or not software)
     if split:
-        reasons.append("reflections run as three programs: a GPU keeps more rays in flight beside less shading code")
+        features = features.replace(mirror_shadows=features.shadow_bits and not features.alpha_test)
+        parts = "two programs" if features.mirror_shadows else "three programs"
+        reasons.append(f"reflections run as {parts}: a GPU keeps more rays in flight beside less shading code")
     if features.probes:
         named = len(scene.probes)
         reasons.append(f"{named} probes as the scene has them" if named else "one probe, placed where it sees far")

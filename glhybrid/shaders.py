@@ -29,6 +29,8 @@ Resource = moderngl.Texture | moderngl.TextureArray | moderngl.Buffer | BufferTe
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$', re.MULTILINE)
 _WORD = re.compile(r"\b[A-Z][A-Z0-9_]+\b")
 BUFFERS = ("attributes", "tangents", "nodes", "slots", "triangles", "vertices")  # as in lib/buffers.glsl
+# Their texture units, the same in all programs, so that they need not be bound anew for each of them.
+BUFFER_UNITS = {name: 16 + k for k, name in enumerate(BUFFERS)}
 _OPTIONAL = {"attributes": "USE_EXTRA_ATTRIBUTES", "tangents": "USE_TANGENTS"}  # those that not every scene has
 _VERSION = "#version 430 core\n"
 _IMAGE_TYPES = range(0x904C, 0x906D)  # GL_IMAGE_1D .. GL_UNSIGNED_INT_IMAGE_2D_MULTISAMPLE_ARRAY
@@ -118,11 +120,13 @@ class Program:
                 kind = handle.gl_type  # type: ignore[attr-defined]  # missing in moderngl's stub
                 if member == "buffers":
                     for k, buffer in enumerate(BUFFERS[: handle.array_length]):
-                        # Elements that are not read stand at a slot of their own type: types must not clash.
-                        context.raw.glProgramUniform1i(program.glo, handle.location + k, samplers)
+                        unit = BUFFER_UNITS[buffer]
+                        context.raw.glProgramUniform1i(program.glo, handle.location + k, unit)
                         if buffer not in unread:
-                            self._bind[buffer] = self._sampler_binder(samplers)
-                            samplers += 1
+                            self._bind[buffer] = self._sampler_binder(unit)
+                elif member in BUFFER_UNITS:
+                    context.raw.set_sampler(program, member, BUFFER_UNITS[member])
+                    self._bind[member] = self._sampler_binder(BUFFER_UNITS[member])
                 elif kind in _SAMPLER_TYPES:
                     context.raw.set_sampler(program, member, samplers)
                     self._bind[member] = self._sampler_binder(samplers)
@@ -180,13 +184,19 @@ class Program:
         for name, bind in self._bind.items():
             bind(resources[name])
 
-    def dispatch(self, resources: Mapping[str, Any], size: tuple[int, int], group: tuple[int, int] = (8, 8)) -> None:
-        """Runs once for every element of (width, height), then makes what it wrote visible to all that follows."""
+    def dispatch(
+        self, resources: Mapping[str, Any], size: tuple[int, int], group: tuple[int, int] = (8, 8), wait: bool = True
+    ) -> None:
+        """Runs once for every element of (width, height), then makes what it wrote visible to all that follows.
+
+        wait: unless the next dispatch neither reads nor writes anything that this one writes, and does wait.
+        """
         across, down = -(-size[0] // group[0]), -(-size[1] // group[1])
         if self._first_row is None or not self._pace.on:
             self.bind(resources)
             self.program.mglo.run(across, down, 1)
-            self._context.gl.memory_barrier()
+            if wait:
+                self._context.gl.memory_barrier()
         else:
             for band in self._in_bands(resources, across, down):
                 band()

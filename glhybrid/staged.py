@@ -113,7 +113,7 @@ class Staged:
         self._capture: Capture | None = None
         reference = self.passes.composite is None
         self.reference = Reference(context, shaders, self.upload, features) if reference else None
-        self.display = Display(context, shaders, self.constants.buffer)
+        self.display = Display(context, shaders, self.constants)
         self._aov = Aov(shaders, self.upload, features)
         self._ids: Any = None  # of the pixel centres, once AOVs asked for them
         self.stochastic = features.glossy or features.light_discs or features.occlusion

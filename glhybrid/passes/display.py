@@ -2,29 +2,37 @@
 
 from typing import Any
 
-import moderngl
 import numpy as np
 
 from glhybrid.context import Context
+from glhybrid.frame_constants import FrameConstants
 from glhybrid.needs import Features
 from glhybrid.readback import Reading, at_once
-from glhybrid.shaders import Shaders
+from glhybrid.shaders import Program, Shaders
 from glhybrid.targets import Targets
 
 
 class Display:
     name = "display"
 
-    def __init__(self, context: Context, shaders: Shaders, frame: moderngl.Buffer) -> None:
-        self._exposure_program = shaders.compute("exposure", Features())
+    def __init__(self, context: Context, shaders: Shaders, constants: FrameConstants) -> None:
         self._program = shaders.compute("display", Features())
         self._exposure = context.gl.buffer(reserve=16)
-        self._frame = frame
+        self._shaders, self._constants = shaders, constants
+        self._measure: Program | None = None  # compiled where exposure = auto asks for it
+        self._given: float | None = None  # EV in the buffer, if it was not measured
 
     def run(self, targets: Targets, radiance: Any) -> Any:
-        display = targets.get("display")
-        resources = {"Frame": self._frame, "Exposure": self._exposure, "radiance": radiance, "out_display": display}
-        self._exposure_program.dispatch(resources, (1, 1))
+        display, given = targets.get("display"), self._constants.exposure_ev
+        resources = {
+            "Frame": self._constants.buffer, "Exposure": self._exposure, "radiance": radiance, "out_display": display,
+        }  # fmt: skip
+        if given is None:
+            self._measure = self._measure or self._shaders.compute("exposure", Features())
+            self._measure.dispatch(resources, (1, 1))
+        elif given != self._given:
+            self._exposure.write(np.float32(given).tobytes())
+        self._given = given
         self._program.dispatch(resources, targets.size)
         return display
 

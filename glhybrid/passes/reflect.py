@@ -2,6 +2,7 @@
 
 Fused, one program does it all: nothing is looked up twice, best on a CPU. Split, three do a part each (ray, shadow,
 shade): a GPU's traversal then does not carry the registers of the shading code; on an H100 133 frames/s became 164.
+Where no surface has an any-hit function that looks at textures, ray and shadow go together: there 3 % of a frame.
 """
 
 from typing import Any
@@ -21,7 +22,8 @@ class Reflect:
         stems = ["reflect"]
         self._images = ["reason"] if features.reason else []
         if split:
-            stems = ["reflect_ray", *["reflect_shadow"] * features.shadow_bits, "reflect_shade"]
+            apart = features.shadow_bits and not features.mirror_shadows
+            stems = ["reflect_ray", *["reflect_shadow"] * apart, "reflect_shade"]
             self._images += [*_HANDED_ON, *["mirror_lit"] * features.shadow_bits]
         self._programs = [shaders.compute(stem, features) for stem in stems]
         self._scene = scene

@@ -18,13 +18,13 @@ class Shadow:
         self._scene = scene
         self.channel = "visibility_tint" if features.blended else "visibility"
 
-    def run(self, targets: Targets, ids: Any, set_lights: Any) -> Any:
-        """set_lights(first, end) says which lights the next dispatch is for."""
+    def run(self, targets: Targets, ids: Any, set_lights: Any, wait: bool = True) -> Any:
+        """set_lights(first, end) says which lights the next dispatch is for. wait: as Program.dispatch has it."""
         count = len(self._scene.lights)
         visibility = targets.get(self.channel, layers=count)
         resources = {**self._scene.resources, "gbuffer_id": ids, "out_visibility": visibility}
         for first in range(0, count, LIGHTS_AT_ONCE):
             if count > LIGHTS_AT_ONCE or first:
                 set_lights(first, min(first + LIGHTS_AT_ONCE, count))
-            self._program.dispatch(resources, targets.size)
+            self._program.dispatch(resources, targets.size, wait=wait)
         return visibility

@@ -136,7 +136,7 @@ class Picture:
         if self._shown is None or self._shown[:-1] != key:
             staged.constants.under(staged.scene, settings)
             if exposure_ev is not None:
-                staged.constants.put(auto_exposure=0, exposure_ev=exposure_ev)
+                staged.constants.exposure_ev = exposure_ev
             staged.set()
             image = staged.display.run(staged.targets, self._radiance)
             self._shown = *key, image

@@ -128,6 +128,7 @@ bool intersect_triangle(LocalRay r, vec3 v0, vec3 v1, vec3 v2, float t_min, floa
 #else
     float det = triangle_weights(r, v0, v1, v2, weights, depths);
 #endif
+    if (!BRANCHLESS && det == 0.0) return false;                                 // a GPU skips the rest, a CPU's lanes cannot
     bary = weights.yz / det;
     // t from the plane: more exact than the weighted depths; clamped to them, where a sliver's normal is noise.
     vec3 n = cross(v1 - v0, v2 - v0);

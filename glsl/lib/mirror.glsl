@@ -1,4 +1,4 @@
-// lib/mirror.glsl -- what the three programs of a split `reflect` hand on: the mirror ray and its hit.
+// lib/mirror.glsl -- what the programs of a split `reflect` hand on: the mirror ray and its hit.
 #include "lib/gbuffer.glsl"
 
 layout(rgba32ui) restrict uniform uimage2D mirror_hit;    // t (inf: sky, 0: no ray), bary, triangle (ID_NONE: neither hit)

@@ -1,4 +1,4 @@
-// passes/reflect_shade.comp -- `reflect` in three programs, 3: the radiance that comes back along the mirror rays.
+// passes/reflect_shade.comp -- `reflect` in parts, 3: the radiance that comes back along the mirror rays.
 #include "lib/mirror.glsl"
 #include "lib/shade.glsl"
 #include "lib/tile.glsl"

@@ -1,4 +1,4 @@
-// passes/reflect_shadow.comp -- `reflect` in three programs, 2: which lights reach what the mirror rays met.
+// passes/reflect_shadow.comp -- `reflect` in parts, 2: which lights reach what the mirror rays met.
 #include "lib/mirror.glsl"
 #include "lib/shade.glsl"
 #include "lib/tile.glsl"
