@@ -18,7 +18,7 @@ from cyclopts import App, CycloptsError, Parameter
 from glhybrid import __version__, cli_frames, cli_view, console
 from glhybrid.cli_frames import Frames
 from glhybrid.cli_view import View
-from glhybrid.errors import DeviceError, GlhybridError, SettingError
+from glhybrid.errors import DeviceError, GlhybridError, SettingError, unknown
 
 if TYPE_CHECKING:
     from glhybrid.scene import Scene
@@ -263,7 +263,11 @@ def plan(scene: SceneName, /, *, common: Common = Common()) -> int:
 @app.command
 def bench(
     *scene: Annotated[
-        str, Parameter(help="Scenes as elsewhere, or the bench's own: hall, spheres, city, hall:100k; all by default.")
+        str,
+        Parameter(
+            help="Scenes as elsewhere, or the bench's own: hall, spheres, city, hall:100k; all by default. "
+            "With --scale: curves, of triangles, pixels, lights, instances."
+        ),
     ],
     quick: Annotated[bool, Parameter(help="Under a minute on two cores: fewer variants, sizes and rays.")] = False,
     peers: Annotated[bool, Parameter(help="Embree and Mitsuba on the same rays, where installed.")] = False,
@@ -288,7 +292,7 @@ def bench(
     if motion and scale:
         raise SettingError("--motion and --scale are benches of their own: give one")
     if scale:
-        return _bench_scale(quick, device, pixels, svg, json, quiet)
+        return _bench_scale(scene, quick, device, pixels, svg, json, quiet)
     if svg is not None:
         raise SettingError("--svg: the charts are those of --scale")
     if motion:
@@ -310,16 +314,20 @@ def bench(
 
 
 def _bench_scale(
-    quick: bool, device: str, size: tuple[int, int] | None, svg: str | None, as_json: bool, quiet: bool
-) -> int:
+    over: Sequence[str], quick: bool, device: str, size: tuple[int, int] | None, svg: str | None, as_json: bool,
+    quiet: bool,
+) -> int:  # fmt: skip
     from glhybrid.bench import scale
     from glhybrid.context import open_context
     from glhybrid.image import replacing
 
     if svg is not None and Path(svg).suffix.lower() != ".svg":
         raise SettingError(f"--svg {svg}: the charts are SVG: give a name that ends in .svg")
+    for name in over:
+        if name not in scale.VALUES:
+            raise SettingError(f"--scale: {unknown('curve', name, scale.VALUES)}")
     with open_context(device) as context, console.progress(not (quiet or as_json)) as progress:
-        result = scale.run(quick=quick, context=context, size=size, progress=progress)
+        result = scale.run(over or tuple(scale.VALUES), quick=quick, context=context, size=size, progress=progress)
     if svg is not None:
         with replacing(Path(svg)) as temporary:
             temporary.write_text(scale.chart(result), encoding="utf-8")

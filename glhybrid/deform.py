@@ -54,8 +54,11 @@ def posed(scene: Scene, pose: Pose, live: Sequence[Deformer] = ()) -> Scene:
     meshes = list(scene.meshes)
     made: dict[object, int] = {}
     placed = posing.place(scene, pose)
+    weighted = pose.weights or any(n.morph_weights for n in scene.nodes) or any(m.morph_weights for m in scene.meshes)
 
     def still(number: int, instance: Instance) -> Instance:
+        if instance.skin < 0 and not weighted and number not in owner:
+            return instance  # of a million, nearly all
         weights = morph_weights(scene, pose, instance.mesh, instance.node)
         source = owner.get(number)
         if source is None and instance.skin < 0 and not np.any(weights):

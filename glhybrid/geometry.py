@@ -291,9 +291,9 @@ class _Builder:
         scene = self.scene
         meshes: dict[tuple[int, ...], int] = {}  # by identity of the primitives' arrays: equal data is stored once
         records: dict[tuple[int, tuple[int, ...]], int] = {}
+        keys = [tuple(id(p.position if isinstance(p, Triangles) else p) for p in m.primitives) for m in scene.meshes]
         for number, instance in self.placed():
-            mesh = scene.meshes[instance.mesh]
-            key = tuple(id(p.position) if isinstance(p, Triangles) else id(p) for p in mesh.primitives)
+            mesh, key = scene.meshes[instance.mesh], keys[instance.mesh]
             if key not in meshes:
                 mark, ranges, spheres = self.mark(), [], []
                 for geometry, primitive in enumerate(mesh.primitives):

@@ -115,7 +115,7 @@ class GL:
 
     def __init__(self, load: Callable[[str], int]) -> None:
         self._load = load
-        self.buffer_textures: dict[int, int] = {}  # what is bound to GL_TEXTURE_BUFFER, by unit: only BufferTexture binds
+        self.buffer_textures: dict[int, int] = {}  # bound to GL_TEXTURE_BUFFER, by unit
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         if name not in _SIGNATURES:
@@ -216,7 +216,7 @@ class BufferTexture:
             gl.glTexBuffer(GL_TEXTURE_BUFFER, format, buffer.glo)
 
     def bind(self, unit: int) -> None:
-        """Binds to a texture unit for the samplers that were given that number. Costs nothing where it is bound already."""
+        """Binds to a texture unit for the samplers that were given that number, unless it is bound there already."""
         bound = self._gl.buffer_textures
         if bound.get(unit) != self.glo:
             self._gl.glActiveTexture(GL_TEXTURE0 + unit)

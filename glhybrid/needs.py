@@ -66,7 +66,7 @@ class Features:
     branchless: bool = False  # lanes of a CPU: see lib/bvh.glsl
     moeller_trumbore: bool = False  # tests only: the control that must leak
     bvh_stack: int = 0  # entries, from the depth of the trees
-    bvh_inner_steps: int = 3  # inner nodes in a row, before a leaf
+    bvh_inner_steps: int = 4  # inner nodes in a row, before a leaf
     texture_slots: int = 0  # bit k: some material has a texture in slot k (layout SLOT_*)
     aov: int = 0  # which, in passes/aov.comp
 

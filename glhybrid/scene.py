@@ -365,8 +365,8 @@ class Scene:
         """(I, 2, 3) float64, world: the box of each instance; NaN for one that draws nothing."""
         if not self.instances:
             return np.zeros((0, 2, 3))
-        boxes = np.stack([self.meshes[i.mesh].bounds for i in self.instances])
-        pose = np.stack([i.world_from_object for i in self.instances])
+        boxes = np.stack([mesh.bounds for mesh in self.meshes])[[i.mesh for i in self.instances]]
+        pose = np.array([i.world_from_object for i in self.instances])
         middle, half = boxes.mean(1), (boxes[:, 1] - boxes[:, 0]) / 2
         middle = np.einsum("iab,ib->ia", pose[:, :3, :3], middle) + pose[:, :3, 3]
         half = np.einsum("iab,ib->ia", np.abs(pose[:, :3, :3]), half)

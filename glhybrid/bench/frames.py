@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from glhybrid.bench.clock import WARM_UP_S
+from glhybrid.bench.clock import WARM_UP_S, pass_clock
 from glhybrid.renderer import Renderer
 from glhybrid.scene import Camera, Scene
 from glhybrid.settings import Settings
@@ -21,7 +21,8 @@ HOST_FRAMES = 20
 
 @dataclass(frozen=True)
 class FrameTimes:
-    """passes: ms by pass, medians, each from finish() to finish(). frame_ms: of frames that are not cut up.
+    """passes: ms by pass, medians: by timestamps, in software from finish() to finish(). frame_ms: of frames that are
+    not cut up.
 
     host_us: CPU time of the calling thread for one steady frame with nothing finished in it, median: our Python and
     the driver below it. A software rasteriser works through all vertices on that thread; there the host is measured on
@@ -87,7 +88,7 @@ def measure(renderer: Renderer, name: str, scene: Scene, size: tuple[int, int], 
             frame(off)
         finish()
         walls.append((time.perf_counter() - wall) / batch)
-    timing = Timing(finish)
+    timing = pass_clock(renderer.context)
     for _ in range(repeats + 1):  # the first does not count
         frame(timing)
     small, primary = (HOST_SIZE, "trace") if software else (size, "auto")

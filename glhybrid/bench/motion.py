@@ -4,6 +4,7 @@ leave the GPU.
 - `refit`: a clip is played four times, with trees built anew every frame (Kim's way), refitted until their SAH cost has
   grown by a half or by all of itself, and never built anew. For every frame: SAH cost to that of the tree built for it,
   nodes and triangles tested a ray, ms by pass, and the largest difference to the first picture, which must be 0.
+- `deformed`: moving the vertices and refitting the trees, by themselves.
 - `instances`: rigid bodies, all of them moving: ms for poses, for the top-level tree refitted or built, for the frame.
 - `readback`: pictures a second without reading any, through the ring, and one by one.
 """
@@ -17,7 +18,7 @@ import numpy as np
 
 from glhybrid import console
 from glhybrid import pose as posing
-from glhybrid.bench import movers
+from glhybrid.bench import clock, movers
 from glhybrid.bench.clock import WARM_UP_S, cores
 from glhybrid.bench.report import machine
 from glhybrid.context import Context
@@ -32,6 +33,7 @@ from glhybrid.timing import Timing
 
 Progress = Callable[[str, int, int], None]
 POLICIES = (1.0, 1.5, 2.0, 0.0)
+TABLES = ("refit", "deformed", "instances", "readback")
 BARS = "▁▂▃▄▅▆▇█"
 
 
@@ -54,6 +56,20 @@ class Played:
     steps_per_ray_mean: float = 0.0
     refit_ms_mean: float = 0.0
     trace_ms_mean: float = 0.0
+
+
+@dataclass(frozen=True)
+class Deformed:
+    """What a frame's deformation costs the device, ms, medians: vertices moved, and boxes fitted to them in so many
+    dispatches. clock: gpu (timestamps), wall, or cpu over the cores in software."""
+
+    scene: str
+    triangles: int
+    nodes: int
+    dispatches: int
+    clock: str
+    skin_ms: float
+    refit_ms: float
 
 
 @dataclass(frozen=True)
@@ -85,6 +101,7 @@ class Read:
 class MotionReport:
     machine: dict[str, Any]
     refit: list[Played] = field(default_factory=list)
+    deformed: list[Deformed] = field(default_factory=list)
     instances: list[Moved] = field(default_factory=list)
     readback: list[Read] = field(default_factory=list)
 
@@ -97,7 +114,7 @@ class MotionReport:
         ]
 
     def to_dict(self) -> dict[str, Any]:
-        rows = {name: [asdict(row) for row in getattr(self, name)] for name in ("refit", "instances", "readback")}
+        rows = {name: [asdict(row) for row in getattr(self, name)] for name in TABLES}
         return {"machine": self.machine | {"failures": self.failures}} | rows
 
 
@@ -135,6 +152,7 @@ def run(
                 frames = 16 if quick else 48
                 report.refit.append(play(renderer, name, scene, size, rebuild, frames, fresh))
                 done += 1
+            report.deformed.append(deform(renderer, name, scene, size))
         for count in counts:
             bodies = movers.swarm(count)
             for rebuild in (1.0, 0.0):
@@ -191,6 +209,25 @@ def play(
     )  # fmt: skip
 
 
+def deform(renderer: Renderer, name: str, scene: Scene, size: tuple[int, int], repeats: int = 0) -> Deformed:
+    """Skinning and refitting by themselves, over and over at one time of the first clip."""
+    settings, context = Settings(aa=1, rebuild=0.0, time=0.1), renderer.context
+    renderer.render(scene, size=size, settings=settings)
+    assert renderer._staged is not None and renderer._staged.mover is not None
+    mover, software = renderer._staged.mover, context.device.software
+    skin, refit, shapes = mover.skin, mover.refit, mover.motion.at(0.1).shapes
+    assert skin is not None and refit is not None
+    works: dict[str, Callable[[], None]] = {"skin": lambda: skin.run(shapes), "refit": refit.refit}
+    if software:
+        samples = clock.on_cpu(works, repeats or 9, context.gl.finish)
+        kind, share = "cpu", cores(context)
+    else:
+        samples = clock.on_gpu(context, works, repeats or 50)
+        kind, share = "gpu" if all(s.gpu for s in samples.values()) else "wall", 1
+    skin_ms, refit_ms = (samples[work].median(kind) / share for work in works)
+    return Deformed(name, scene.triangle_count(), refit.nodes, refit.dispatches, kind, skin_ms, refit_ms)
+
+
 def move(renderer: Renderer, scene: Scene, size: tuple[int, int], rebuild: float, frames: int) -> Moved:
     """A swarm at `frames` times close together. frame: pictures a second through Renderer.arrays, turned over."""
     chosen = Settings(aa=1, rebuild=rebuild, reflections="none")
@@ -245,13 +282,13 @@ def read(renderer: Renderer, name: str, scene: Scene, size: tuple[int, int], fra
     while not renderer.context.device.software and time.perf_counter() - started < WARM_UP_S:
         drawn()
     software, share = renderer.context.device.software, cores(renderer.context)
-    clock: Callable[[], float] = (lambda: time.process_time() / share) if software else time.perf_counter
+    now: Callable[[], float] = (lambda: time.process_time() / share) if software else time.perf_counter
     taken: dict[str, list[float]] = {way: [] for way in ways}
     for _ in range(5):
         for way, go in ways.items():
-            started = clock()
+            started = now()
             go()
-            taken[way].append(clock() - started)
+            taken[way].append(now() - started)
     rate = {way: frames / float(np.median(times)) for way, times in taken.items()}
     return [Read(name, size, way, value, value / rate["drawn"]) for way, value in rate.items()]
 
@@ -270,6 +307,12 @@ def show(report: MotionReport) -> None:
     console.table(
         ("scene", "triangles", "built anew", "builds", "SAH to fresh", "at most", "steps a ray", "by frame", "refit ms",
          "rays ms", "image error"), rows,
+    )  # fmt: skip
+    print()
+    console.table(
+        ("deformed", "triangles", "nodes", "dispatches", "skin ms", "refit ms", "clock"),
+        [(d.scene, d.triangles, d.nodes, d.dispatches, round(d.skin_ms, 3), round(d.refit_ms, 3), d.clock)
+         for d in report.deformed],
     )  # fmt: skip
     print()
     console.table(

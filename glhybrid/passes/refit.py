@@ -65,7 +65,7 @@ class Refit:
             for mesh in self.meshes:
                 moved[mesh] = self._build(mesh)
             return moved
-        self._refit()
+        self.refit()
         self._age += 1
         if self._rebuild and self._age % CHECK_EVERY == 1:
             self._ring.send([self._reading(mesh) for mesh in self.meshes])
@@ -94,7 +94,18 @@ class Refit:
         self._tree_buffer.release()
         self._order_buffer.release()
 
-    def _refit(self) -> None:
+    @property
+    def nodes(self) -> int:
+        """Of all trees."""
+        return sum(count for _, count in self._levels)
+
+    @property
+    def dispatches(self) -> int:
+        """Of one refit: as many as the trees have levels."""
+        return len(self._levels)
+
+    def refit(self) -> None:
+        """New boxes, on the grids that run() gave last."""
         for first, count in self._levels:
             resources = {**self._resources, "refit_first": first, "refit_count": count}
             self._program.dispatch(resources, (min(count, 65536), -(-count // 65536)), (64, 1))

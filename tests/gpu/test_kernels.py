@@ -29,7 +29,10 @@ def spheres(lights: int, masked: bool = False) -> Scene:
             Instance(mesh=0, world_from_object=_at(1.2, 0, 0)),
             Instance(mesh=1, world_from_object=_at(0, -31, 0)),
         ),
-        materials=(Material(roughness=0.1, metallic=1.0), Material(roughness=0.4, alpha_mode="MASK" if masked else "OPAQUE")),
+        materials=(
+            Material(roughness=0.1, metallic=1.0),
+            Material(roughness=0.4, alpha_mode="MASK" if masked else "OPAQUE"),
+        ),
         lights=tuple(Light(kind="point", position=(4 * np.cos(a), 3.0, 4 * np.sin(a)), intensity=9.0) for a in ring),
         cameras=(Camera.look_at((0, 1.5, 5), (0, 0, 0)),),
     )

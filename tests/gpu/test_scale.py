@@ -77,3 +77,5 @@ def test_usage(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert "--scale" in capsys.readouterr().err
     assert cli.main(["bench", "--scale", "--svg", str(tmp_path / "chart.png")]) == 2
     assert ".svg" in capsys.readouterr().err
+    assert cli.main(["bench", "--scale", "triangle"]) == 2
+    assert "triangles" in capsys.readouterr().err
