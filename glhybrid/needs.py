@@ -7,6 +7,7 @@ Each field of Features is a define, always set, 0 or 1 (or a number): USE_<NAME>
 from dataclasses import dataclass, fields, replace
 
 from glhybrid import techniques
+from glhybrid.environment_cdf import has_lamps
 from glhybrid.layout import CONSTANTS
 from glhybrid.scene import TEXTURE_SLOTS, Material, Scene, Sphere, Triangles
 from glhybrid.settings import Settings
@@ -29,6 +30,7 @@ class Features:
     specular: bool = False  # KHR_materials_ior or KHR_materials_specular
     environment: bool = False
     environment_map: bool = False  # not constant
+    sky_samples: bool = False  # rays are sent to where it is bright
     blurred_sky: bool = False  # and its convolutions are read
     specular_sky: bool = False  # the environment is seen in the specular lobe
     shadow_rays: bool = False  # hits and layers send their own
@@ -138,7 +140,9 @@ def find(scene: Scene, settings: Settings) -> Needs:
     mirrors = any(reflective(m, cutoff) for m in materials)
     reflecting = techniques.REFLECTIONS[settings.reflections]
     reflections = reflecting.mirror_pass not in ("", "probe") and mirrors
+    glossy = reflections and reflecting.mirror_pass == "glossy"
     rough = any(reflective(m, cutoff) and not exact_mirror(m) for m in materials)
+    sky_rays = glossy and rough and settings.parameter("reflections.ray-glossy.sky_rays")
     technique = techniques.SHADOWS[settings.shadows]
     visibility = lit and settings.shadows != "none" and not reference
     shadow_maps = visibility and technique.depth_maps
@@ -162,6 +166,8 @@ def find(scene: Scene, settings: Settings) -> Needs:
         specular=any(m.ior != 1.5 or m.specular != 1 or m.specular_color != (1.0, 1.0, 1.0) for m in materials),
         environment=environment,
         environment_map=environment and scene.environment is not None and not scene.environment.constant,
+        sky_samples=environment and scene.environment is not None and not scene.environment.constant
+        and (reference or (sky_rays and has_lamps(scene.environment))),
         blurred_sky=environment and not reference,
         specular_sky=environment and settings.reflections not in ("none", "reference"),
         shadow_rays=lit and settings.shadows != "none",
@@ -176,12 +182,11 @@ def find(scene: Scene, settings: Settings) -> Needs:
         mirror_rays=reflections and reflecting.traced,
         march=reflections and reflecting.mirror_pass == "ssr",
         reflect_grid=techniques.reflect_grid(settings) if reflections else 0,
-        glossy=reflections and reflecting.mirror_pass == "glossy",
+        glossy=glossy,
         probes=mirrors and reflecting.mirror_pass == "probe",
         probes_blurred=reflecting.mirror_pass == "probe"
         and any(reflective(m, cutoff) and not exact_mirror(m) for m in materials),
-        denoise=reflections and reflecting.mirror_pass == "glossy" and rough
-        and settings.parameter("reflections.ray-glossy.denoise"),
+        denoise=glossy and rough and settings.parameter("reflections.ray-glossy.denoise"),
         denoise_shadows=visibility and light_discs and settings.parameter("shadows.ray-soft.denoise"),
         emitters=reference and any(max(m.emissive) > 0 for m in materials),
         lightmap=lightmap,
@@ -216,6 +221,7 @@ def find(scene: Scene, settings: Settings) -> Needs:
             )
         ]
         * (not reference),
+        *[("rays to lamps of the sky", features.sky_samples, "it has none")] * bool(sky_rays),
         *[("penumbras", light_discs, "no light has a size")] * (settings.shadows == "ray-soft" and visibility),
     ):
         if not present:

@@ -248,6 +248,7 @@ _ALL = (
         mirror_pass="glossy",
         parameters=(
             Parameter("samples", 4, "rays a pixel from a roughness of 0.25 on; a mirror takes one", 1, 4096),
+            Parameter("sky_rays", True, "a second ray beside each, to where the sky has a sun or lamps", sweep=()),
             _CUTOFF,
             *_FILTER,
         ),

@@ -35,7 +35,7 @@ class Glossy:
         if self._features.reason:
             resources["out_reason"] = targets.get("reason")
         shadow_rays = len(self._scene.lights) if self._features.shadow_rays else 0
-        at_once = max(1, RAYS_AT_ONCE // (1 + shadow_rays))
+        at_once = max(1, RAYS_AT_ONCE // (1 + shadow_rays + self._features.sky_samples))
         for lobe, program in self._programs.items():
             resources["out_reflection"] = targets.get(lobe)
             if self._features.denoise:

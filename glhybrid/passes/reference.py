@@ -10,7 +10,6 @@ from glhybrid.context import Context
 from glhybrid.geometry import Geometry
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.needs import Features
-from glhybrid.scene import F32, Environment
 from glhybrid.shaders import Shaders
 from glhybrid.targets import Targets
 
@@ -33,12 +32,6 @@ class Reference:
                 buffer = context.gl.buffer(rows.tobytes())
                 self._owned.append(buffer)
                 self._resources["Emitters"] = buffer
-        if features.environment_map:
-            assert scene.scene.environment is not None
-            cdf = environment_cdf(scene.scene.environment)
-            texture = context.gl.texture(cdf.shape[::-1], 1, cdf.tobytes(), dtype="f4")
-            self._owned.append(texture)
-            self._resources["environment_cdf"] = texture
         self._program = shaders.compute("reference", features)
 
     def run(self, targets: Targets, staged: Any, timing: Any, progress: Any) -> Any:
@@ -112,23 +105,3 @@ def emitter_rows(geometry: Geometry) -> tuple[np.ndarray, float]:
     table["cdf"] = np.cumsum(weight) / weight.sum()
     table["cdf"][-1] = 1
     return table, float(weight.sum())
-
-
-def environment_cdf(environment: Environment) -> F32:
-    """(H + 1, max(W, H)) float32: cumulated luminance times solid angle along each row, then over rows."""
-    height, width = environment.radiance.shape[:2]
-    theta = np.arange(height + 1) / height * np.pi
-    solid = np.cos(theta[:-1]) - np.cos(theta[1:])
-    light = np.maximum(environment.radiance.astype(np.float64) @ LUMINANCE, 0)
-    # The mean over a texel of what is looked up there, bilinear: beside a lamp that is far more than the texel.
-    light = 0.75 * light + 0.125 * (np.roll(light, 1, 1) + np.roll(light, -1, 1))
-    light = 0.75 * light + 0.125 * (light[np.r_[0, : height - 1]] + light[np.r_[1:height, height - 1]])
-    weight = light * solid[:, None]
-    table = np.ones((height + 1, max(width, height)))
-    rows = weight.sum(1)
-    along = np.cumsum(weight, 1)
-    table[:height, :width] = np.where(
-        rows[:, None] > 0, along / np.maximum(rows[:, None], 1e-300), np.arange(1, width + 1) / width
-    )
-    table[height, :height] = np.cumsum(rows) / max(rows.sum(), 1e-300)
-    return table.astype(np.float32)

@@ -7,6 +7,7 @@ import numpy as np
 
 from glhybrid import content_cache, layout, sky_tree
 from glhybrid.context import Context
+from glhybrid.environment_cdf import EVEN, environment_cdf
 from glhybrid.needs import Features
 from glhybrid.scene import F32, Environment
 from glhybrid.shaders import Program, Shaders
@@ -32,6 +33,9 @@ class Sky:
         height, width = radiance.shape[:2]
         exact = self.resources["environment_map"] = gl.texture((width, height), 4, _rgba(radiance), dtype="f4")
         exact.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        if features.sky_samples:
+            cdf = environment_cdf(environment, above=EVEN if features.glossy else 0.0)
+            self.resources["environment_cdf"] = gl.texture(cdf.shape[::-1], 1, cdf.tobytes(), dtype="f4")
         if not features.blurred_sky:
             return
         sizes = layout.PREFILTER_SIZES

@@ -194,13 +194,16 @@ Hit measured(Hit hit, Ray ray) {
 }
 
 // Radiance along a ray whose cone has width_0 at its origin and widens by `spread` a metre: what a reflection shows.
-vec3 trace_radiance(Ray ray, float width_0, float spread, out Hit hit) {
+// sky: how much of the environment counts.
+vec3 trace_radiance(Ray ray, float width_0, float spread, float sky, out Hit hit) {
     hit = measured(closest_hit(ray), ray);
     vec3 radiance = vec3(0.0);
-    if (hit.triangle == ID_NONE) radiance = environment_radiance(ray.dir);
+    if (hit.triangle == ID_NONE) radiance = sky * environment_radiance(ray.dir);
     else radiance = shade_hit(hit, ray, width_0 + spread * hit.t);
 #if USE_BLENDED
     radiance = through_layers(ray, width_0, spread, hit.t, radiance);
 #endif
     return radiance;
 }
+
+vec3 trace_radiance(Ray ray, float width_0, float spread, out Hit hit) { return trace_radiance(ray, width_0, spread, 1.0, hit); }

@@ -2,8 +2,10 @@
 // specular lobe gathers, over the lobe's albedo.
 //
 // Directions follow the normals that the viewer sees (Heitz 2018), so a ray weighs F G1(l): with separable Smith nothing
-// else is left. Those that end up under the surface count, as nothing. A mirror takes one ray.
+// else is left. Those that end up under the surface count, as nothing. A mirror takes one ray. Where the sky has lamps, each
+// ray has a second one beside it, to where the sky is bright, and both are weighed by the balance heuristic (Veach 1997).
 #include "lib/gbuffer.glsl"
+#include "lib/environment_sample.glsl"
 #include "lib/glossy.glsl"
 #include "lib/tile.glsl"
 
@@ -16,7 +18,7 @@ layout(r8ui) writeonly uniform uimage2D out_reason;
 #endif
 uniform int rays, ray_first, ray_end;              // a pixel at most; those of this dispatch
 
-const uint GLOSSY_SEQUENCE = 0x6105u;
+const uint GLOSSY_SEQUENCE = 0x6105u, SKY_SEQUENCE = 0x5C1Eu;
 
 // The noise of a ray grows with the lobe, up to a roughness of a quarter, where a few of them are worth their time.
 int rays_of(Lobe lobe) {
@@ -24,18 +26,41 @@ int rays_of(Lobe lobe) {
     return max(int(ceil(float(rays) * min(square(lobe.roughness / 0.25), 1.0))), 1);
 }
 
+// What a direction that the lobe was or might have been sent along counts for, over the lobe's albedo.
+vec3 lobe_weight(Lobe lobe, Surface s, vec3 v, vec3 h, float NoL, vec3 albedo) {
+    vec3 weight = vec3(smith_g1(NoL, lobe.alpha));
+    if (!GLOSSY_COAT) weight *= specular_fresnel(s.bsdf, dot(v, h)) / max(albedo, vec3(1e-30));
+    return weight;
+}
+
 struct Gathered { vec3 sum; float squares, nearness; int rays, sky; };   // nearness: sum of 1 / distance
 
-void follow(vec3 dir, vec3 weight, Surface s, Pixel p, inout Gathered g) {
+// sky: how much of the environment counts; returns what is seen, times the weight.
+vec3 follow(vec3 dir, vec3 weight, float sky, Surface s, Pixel p, inout Gathered g) {
     Hit hit;
     vec3 seen = weight * trace_radiance(Ray(ray_origin(s.point, dir), 0.0, dir, INFINITY), footprint(p.hit.t),
-                                        frame.orthographic == 1u ? 0.0 : frame.pixel_angle, hit);
-    g.sum += seen;
-    g.squares += square(luminance(seen));
+                                        frame.orthographic == 1u ? 0.0 : frame.pixel_angle, sky, hit);
     g.nearness += 1.0 / max(hit.t, 1e-30);
     g.rays++;
     if (hit.triangle == ID_NONE) g.sky++;
+    return seen;
 }
+
+#if USE_SKY_SAMPLES
+// A ray to where the sky is bright.
+vec3 sky_light(Lobe lobe, Surface s, vec3 v, vec3 albedo, vec2 xi, vec2 within) {
+    float density;
+    vec3 l = environment_sample(xi, within, density);
+    float NoL = dot(lobe.n, l);
+    if (density <= 0.0 || NoL <= 0.0 || dot(s.point.n_geo, l) <= 0.0) return vec3(0.0);
+    vec3 h = normalize(v + l);
+    float of_lobe = ggx_pdf(lobe.n, v, h, lobe.alpha);
+    // The lobe over the density is its weight times of_lobe / density, and the heuristic's share density / (density + of_lobe).
+    vec3 light = lobe_weight(lobe, s, v, h, NoL, albedo) * environment_radiance(l) * mis(of_lobe, density);
+    if (max3(light) <= 0.0) return vec3(0.0);
+    return light * any_hit(Ray(ray_origin(s.point, l), 0.0, l, INFINITY));
+}
+#endif
 
 void main() {
     ivec2 px = tile_pixel();
@@ -59,21 +84,30 @@ void main() {
             end = min(ray_end, count);
             Gathered g = Gathered(vec3(0.0), 0.0, 0.0, 0, 0);
             uvec2 start = sequence_start(px, GLOSSY_SEQUENCE + uint(GLOSSY_COAT), frame.seed);
+#if USE_SKY_SAMPLES
+            uvec2 sky_start = sequence_start(px, SKY_SEQUENCE + uint(GLOSSY_COAT), frame.seed);
+            uvec2 texel_start = sequence_start(px, SKY_SEQUENCE + 2u + uint(GLOSSY_COAT), frame.seed);
+#endif
             for (int i = first; i < end; i++) {
-                vec3 h = lobe.n, weight = vec3(1.0);
-                if (!is_mirror(lobe)) h = ggx_sample_vndf(lobe.n, v, lobe.alpha, sequence_point(start, frame.number * uint(count) + uint(i)));
+                vec3 h = lobe.n, weight = vec3(1.0), seen = vec3(0.0);
+                float sky = 1.0;
+                uint turn = frame.number * uint(count) + uint(i);
+                if (!is_mirror(lobe)) h = ggx_sample_vndf(lobe.n, v, lobe.alpha, sequence_point(start, turn));
                 vec3 dir = reflect(-v, h);
                 float below = dot(dir, s.point.n_geo);
                 if (is_mirror(lobe)) {
                     // One direction for all: bent back rather than lost, as `ray-lerp` does.
                     if (below < 1e-4) { dir = normalize(dir + (1e-3 - below) * s.point.n_geo); reason = REASON_BELOW; }
                 } else {
-                    float NoL = dot(lobe.n, dir);
-                    if (NoL <= 0.0 || below <= 0.0) continue;
-                    weight *= smith_g1(NoL, lobe.alpha);
-                    if (!GLOSSY_COAT) weight *= specular_fresnel(s.bsdf, dot(v, h)) / max(albedo, vec3(1e-30));
+                    weight = lobe_weight(lobe, s, v, h, dot(lobe.n, dir), albedo);
+#if USE_SKY_SAMPLES
+                    seen = sky_light(lobe, s, v, albedo, sequence_point(sky_start, turn), sequence_point(texel_start, turn));
+                    sky = mis(ggx_pdf(lobe.n, v, h, lobe.alpha), environment_pdf(dir));
+#endif
                 }
-                follow(dir, weight, s, p, g);
+                if (is_mirror(lobe) || (dot(lobe.n, dir) > 0.0 && below > 0.0)) seen += follow(dir, weight, sky, s, p, g);
+                g.sum += seen;
+                g.squares += square(luminance(seen));
             }
             float n = float(end);
             result = vec4(g.sum, g.nearness);

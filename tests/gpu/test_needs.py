@@ -194,6 +194,27 @@ def glossy(**parameters: Any) -> dict[str, Any]:
     return {"reflections": "ray-glossy", "parameters": named}
 
 
+def test_no_lamp_in_the_sky_no_ray_to_it(renderer: gh.Renderer) -> None:
+    """A table of where the sky is bright, and a second ray, only where lobes would find too rarely what shines."""
+    rough, mirror = Material(double_sided=True, roughness=0.4), Material(double_sided=True, roughness=0.0)
+    even = np.random.default_rng(0).uniform(0, 1, (16, 32, 3)).astype(np.float32)
+    spot = even.copy()
+    spot[3, 5] = 500
+    with gh.Renderer(context=renderer.context) as fresh:
+        none = Ran(fresh, scene(rough, sky=Environment(even)), **glossy())
+        assert none.skipped("rays to lamps of the sky") and none.features.glossy
+        for ran in (
+            none, Ran(fresh, scene(rough, sky=Environment(spot)), **glossy(sky_rays=False)),
+            Ran(fresh, scene(mirror, sky=Environment(spot)), **glossy()), Ran(fresh, scene(rough), **glossy()),
+            Ran(fresh, scene(rough, sky=Environment(spot))),
+        ):  # fmt: skip
+            assert not ran.names("sky_samples") and not ran.names("environment_cdf")
+            assert "environment_cdf" not in ran.resources
+    lamp = Ran(renderer, scene(rough, sky=Environment(spot)), **glossy())
+    assert lamp.names("sky_samples") and "environment_cdf" in lamp.resources
+    assert not lamp.skipped("rays to lamps of the sky")
+
+
 def test_no_noise_no_filter(renderer: gh.Renderer) -> None:
     """A filter runs, and has images, only where a technique is noisy: not for hard shadows, mirrors, or when it is off."""
     rough, mirror = Material(double_sided=True, roughness=0.4), Material(double_sided=True, roughness=0.0)

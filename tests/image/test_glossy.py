@@ -11,7 +11,7 @@ from compare import keep, reference_batches, relative, z_test
 from glossy_scenes import batches, draw, metal_floor, things
 from scene_kit import box, floor, matte, metal, plastic, scene, sun
 
-from glhybrid.scene import Camera, Light, Material, Scene, Sphere
+from glhybrid.scene import Camera, Environment, Light, Material, Scene, Sphere
 from glhybrid.settings import Settings
 
 if TYPE_CHECKING:
@@ -44,6 +44,34 @@ def test_unbiased(renderer: "Renderer", name: str, scale: float, tmp_path: "Path
         and result.whole < BARS["z of the picture"].value
     )
     assert ok, (result, keep(tmp_path, got=got.mean, want=want.mean, variance=got.variance + want.variance))
+
+
+def lamp_sky() -> Environment:
+    """A dim sky with one lamp of 4 x 2 degrees, 4,000 times as bright, and a sun of one texel."""
+    radiance = np.full((90, 180, 3), (0.3, 0.35, 0.4), np.float32)
+    radiance[20:22, 100:102] *= 4000
+    radiance[30, 75] *= 20000
+    return Environment(radiance)
+
+
+@pytest.mark.parametrize("name", ["0.1", "0.4", "coat"])
+def test_lamps_in_the_sky(renderer: "Renderer", name: str, scale: float) -> None:
+    """Z-test against the reference, as above; and no ray finds what the mean does not know of."""
+    world = things(coated() if name == "coat" else metal((0.95, 0.93, 0.9), float(name)), environment=lamp_sky())
+    count = int(24 * scale)
+    got = batches(renderer, world, count, size=SIZE, samples=4, parameters=RAW)
+    settings = Settings(reflections="reference", samples=8, bounces=0, aa=1, seed=5)
+    want = reference_batches(renderer, world, SIZE, settings, batches=4 * count)
+    result = z_test(got, want, floor=1e-3)
+    assert result.passed >= BARS["z passed"].value and result.whole < BARS["z of the picture"].value, result
+    most = []
+    for sky_rays in (True, False):
+        frames = [
+            draw(renderer, world, 1, size=SIZE, seed=k, parameters=RAW | {"sky_rays": sky_rays}) for k in range(4)
+        ]
+        bound = want.mean.mean(-1) + 0.02 * want.mean.mean()
+        most.append(max(float((f["radiance"].mean(-1) / bound).max()) for f in frames))
+    assert most[0] < 50 and most[1] > 200, most  # two lamps drawn in turn, and texels next to them, leave 10 to 30
 
 
 def lit(roughness: float) -> Scene:
