@@ -5,10 +5,6 @@ so that playing and seeking give the same picture. Rejected: one level of trees 
 to be built anew over everything.
 """
 
-import time as clock
-from collections.abc import Callable
-from typing import TypeVar
-
 from glhybrid.context import Context
 from glhybrid.gpu_scene import GpuScene, MovedTree
 from glhybrid.motion import Motion
@@ -17,8 +13,7 @@ from glhybrid.passes.refit import Refit
 from glhybrid.passes.skin import Skin
 from glhybrid.scene import Scene
 from glhybrid.shaders import Shaders
-
-T = TypeVar("T")
+from glhybrid.timing import Timing
 
 
 class Mover:
@@ -32,7 +27,6 @@ class Mover:
         self._upload = upload
         self.motion = motion
         self.ms: dict[str, float] = {}
-        self._timed_now = True
         self.skin: Skin | None = None
         self.refit: Refit | None = None
         self._shown = [i for i, d in enumerate(motion.deformers) if upload.mesh_of_instance(d.instances[0]) >= 0]
@@ -52,18 +46,19 @@ class Mover:
         timed: wait for each part, and note in `ms` how long it took.
         Returns the scene with the lights and cameras of that time.
         """
-        self._timed_now = timed
-        if timed:
-            self.ms = {}
-        moment = self._timed("pose", lambda: self.motion.at(time))
+        timing = Timing(self._finish, enabled=timed)
+        timing.frame()
+        moment = timing.run("pose", lambda: self.motion.at(time))
         trees: dict[int, MovedTree] = {}
         skin, refit = self.skin, self.refit
         if skin is not None:
             self._upload.copy_vertices()
-            self._timed("skin", lambda: skin.run(moment.shapes))
+            timing.run("skin", lambda: skin.run(moment.shapes))
         if refit is not None:
-            trees = self._timed("refit", lambda: refit.run([moment.shapes[i] for i in self._shown]))
-        self._timed("tlas", lambda: self._upload.move(moment, trees))
+            trees = timing.run("refit", lambda: refit.run([moment.shapes[i] for i in self._shown]))
+        timing.run("tlas", lambda: self._upload.move(moment, trees))
+        if timed:
+            self.ms = timing.take()
         return self.motion.start.replace(lights=moment.lights, cameras=moment.cameras)
 
     @property
@@ -74,13 +69,3 @@ class Mover:
         for part in (self.skin, self.refit):
             if part is not None:
                 part.release()
-
-    def _timed(self, name: str, work: Callable[[], T]) -> T:
-        if not self._timed_now:
-            return work()
-        self._finish()
-        start = clock.perf_counter()
-        result = work()
-        self._finish()
-        self.ms[name] = (clock.perf_counter() - start) * 1e3
-        return result

@@ -78,7 +78,7 @@ def _map_line(path: Path, number: int, line: str) -> tuple[Path, dict[str, list[
         values: list[str] = []
         for _ in range(OPTION_LENGTHS.get(option.lower(), 1)):
             word, _, after = rest.partition(" ")
-            if values and not _is_number(word):  # -o, -s and -t take one to three numbers
+            if values and not is_number(word):  # -o, -s and -t take one to three numbers
                 break
             values.append(word)
             rest = after.strip()
@@ -88,7 +88,8 @@ def _map_line(path: Path, number: int, line: str) -> tuple[Path, dict[str, list[
     return Path(rest.replace("\\", "/")), options
 
 
-def _is_number(word: str) -> bool:
+def is_number(word: str) -> bool:
+    """Whether Python reads it as a float."""
     try:
         float(word)
     except ValueError:
@@ -149,8 +150,8 @@ def _material(block: _Statements, path: Path, report: Report, files: "Files") ->
 
 
 def _texture(image: Image, options: dict[str, list[str]]) -> Texture:
-    scale = [float(v) if _is_number(v) else 1.0 for v in options.get("-s", [])] + [1.0] * 2
-    offset = [float(v) if _is_number(v) else 0.0 for v in options.get("-o", [])] + [0.0] * 2
+    scale = [float(v) if is_number(v) else 1.0 for v in options.get("-s", [])] + [1.0] * 2
+    offset = [float(v) if is_number(v) else 0.0 for v in options.get("-o", [])] + [0.0] * 2
     transform = None
     if scale[:2] != [1.0, 1.0] or offset[:2] != [0.0, 0.0]:
         # MTL scales and moves with v up: 1 - (s (1 - v) + o) = s v + (1 - s - o).
@@ -170,7 +171,7 @@ def _put_normal_map(
         if mean[2] > 150 and mean[2] > mean[0] + 30 and mean[2] > mean[1] + 30:
             put("normal", "bump", picture)
             strength = block.maps["bump"][1].get("-bm", ["1"])[0]
-            fields["normal_scale"] = float(strength) if _is_number(strength) else 1.0
+            fields["normal_scale"] = float(strength) if is_number(strength) else 1.0
         else:
             report.warn("its bump map is a height map and not drawn: make it a normal map (norm)", label)
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from glhybrid.errors import LoadError
 from glhybrid.load import tangents
-from glhybrid.load.mtl import Files, read_mtl
+from glhybrid.load.mtl import Files, is_number, read_mtl
 from glhybrid.load.polygons import triangulate
 from glhybrid.load.report import Report
 from glhybrid.scene import F32, F64, Material, Triangles
@@ -105,7 +105,7 @@ class ObjReader:
         except ValueError:
             for number, ws in zip(lines.number, words, strict=True):
                 for word in ws:
-                    if not _is_float(word):
+                    if not is_number(word):
                         self.fail(number, f'"{word}" is not a number')
             raise
         if lengths.min() == lengths.max():
@@ -247,14 +247,6 @@ def linear_colors(srgb: F32) -> F32:
     rgb = np.where(srgb[:, :3] <= 0.04045, srgb[:, :3] / 12.92, ((srgb[:, :3] + 0.055) / 1.055) ** 2.4)
     alpha = srgb[:, 3:4] if srgb.shape[1] == 4 else np.ones((len(srgb), 1))
     return np.concatenate([rgb, alpha], axis=1).astype(np.float32)
-
-
-def _is_float(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _is_index(word: str) -> bool:

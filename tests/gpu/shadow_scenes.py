@@ -5,10 +5,22 @@ from typing import Any
 import numpy as np
 from rays import moved, scene_of, unit
 
+from glhybrid.image import Frame
 from glhybrid.load.shapes import box
 from glhybrid.scene import F64, Camera, Instance, Light, Material, Scene, Sphere
 
 WHITE = Material(double_sided=True)
+FACING = ("normal_geometric", "distance", "position")  # AOVs that facing() looks at
+
+
+def facing(frame: Frame, scene: Scene, light: int = 0) -> Any:
+    """(H, W) bool: pixels whose surface faces a light."""
+    lamp = scene.lights[light]
+    to_light: Any = -np.array(lamp.direction)
+    if lamp.kind != "directional":
+        to_light = np.array(lamp.position) - frame["position"]
+        to_light /= np.linalg.norm(to_light, axis=-1, keepdims=True)
+    return np.isfinite(frame["distance"]) & ((frame["normal_geometric"] * to_light).sum(-1) > 1e-3)
 
 
 def posts(elevation_deg: float = 25.0, lamp: Light | None = None) -> tuple[Scene, Camera, F64]:

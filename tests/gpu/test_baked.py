@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from rays import moved, piece, say, scene_of
-from shadow_scenes import WHITE, exact_visibility, posts, room
+from shadow_scenes import FACING, WHITE, exact_visibility, facing, posts, room
 
 import glhybrid as gh
 from glhybrid import content_cache
@@ -62,17 +62,7 @@ def settings(shadows: str = "baked", reflections: str = "none", levels: Any = "a
 
 
 def seen(renderer: gh.Renderer, scene: Scene, camera: Camera, chosen: gh.Settings, size: Any = SIZE) -> Frame:
-    return renderer.render(scene, camera, size, chosen, ("visibility", "normal_geometric", "distance", "position"))
-
-
-def facing(frame: Frame, scene: Scene, light: int = 0) -> Any:
-    """Pixels whose surface faces a light."""
-    lamp = scene.lights[light]
-    to_light: Any = -np.array(lamp.direction)
-    if lamp.kind != "directional":
-        to_light = np.array(lamp.position) - frame["position"]
-        to_light /= np.linalg.norm(to_light, axis=-1, keepdims=True)
-    return np.isfinite(frame["distance"]) & ((frame["normal_geometric"] * to_light).sum(-1) > 1e-3)
+    return renderer.render(scene, camera, size, chosen, ("visibility", *FACING))
 
 
 def wrong(renderer: gh.Renderer, scene: Scene, camera: Camera, chosen: gh.Settings) -> metrics.WrongShadow:

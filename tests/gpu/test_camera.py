@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import rays as ray
-from oracles import border_distance, linear, sampled, transformed
+from oracles import border_distance
 from rays import moved, piece, scene_of
+from texture_oracle import linear, sampled, transformed
 
 import glhybrid as gh
 from glhybrid.load.shapes import box, torus

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from rays import moved, piece, say, scene_of
-from shadow_scenes import WHITE, exact_visibility, half_plane, posts, room
+from shadow_scenes import FACING, WHITE, exact_visibility, facing, half_plane, posts, room
 
 import glhybrid as gh
 from glhybrid.errors import SettingError
@@ -89,18 +89,7 @@ def settings(technique: str, parameters: dict[str, Any] | None = None, reflectio
 
 
 def seen(renderer: gh.Renderer, scene: Scene, camera: Camera, size: Any, technique: str, **parameters: Any) -> Frame:
-    names = ("visibility", "normal_geometric", "distance", "position")
-    return renderer.render(scene, camera, size, settings(technique, parameters), names)
-
-
-def facing(frame: Frame, scene: Scene) -> Any:
-    """Pixels whose surface faces the scene's one light."""
-    light = scene.lights[0]
-    to_light = -np.array(light.direction)
-    if light.kind != "directional":
-        to_light = np.array(light.position) - frame["position"]
-        to_light /= np.linalg.norm(to_light, axis=-1, keepdims=True)
-    return np.isfinite(frame["distance"]) & ((frame["normal_geometric"] * to_light).sum(-1) > 1e-3)
+    return renderer.render(scene, camera, size, settings(technique, parameters), ("visibility", *FACING))
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import rays as ray
-from oracles import linear, sampled, transformed
 from rays import Rays, Tracer, moved, scene_of
+from texture_oracle import linear, sampled, transformed
 
 from glhybrid import textures
 from glhybrid.load.shapes import torus

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scene_kit import Rays
 
+from glhybrid.bench.peers import find_llvm
 from glhybrid.scene import Environment, Material, Scene, Sphere
 
 F64 = NDArray[np.float64]
@@ -88,17 +89,6 @@ class Oracle:
         self._process.stdin and self._process.stdin.close()
         self._process.wait(timeout=20)
         self._process.stdout and self._process.stdout.close()
-
-
-def find_llvm() -> Path | None:
-    """The newest shared libLLVM from 17 on; older ones abort the process that loads them."""
-    found = []
-    for folder in ("/usr/lib/x86_64-linux-gnu", "/usr/lib/aarch64-linux-gnu", "/usr/lib64", "/usr/lib"):
-        for path in Path(folder).glob("libLLVM*so*"):
-            digits = path.name.replace("libLLVM", "").replace("so", "").strip("-.").split(".")[0]
-            if digits.isdigit() and int(digits) >= 17:
-                found.append((int(digits), path))
-    return max(found)[1] if found else None
 
 
 def material_spec(material: Material) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from bars import BARS
 from compare import edges, relative
 from numpy_brdf import Brdf, dot, specular_albedo, unit
 from scene_kit import box, camera_rays, constant_sky, floor, matte, metal, plastic, quad, scene, sun, texture
+from texture_oracle import linear, sampled, transformed
 
 from glhybrid.scene import Camera, Light, Material, Scene, Sphere
 from glhybrid.settings import Settings
@@ -208,41 +209,14 @@ def test_textures(renderer: "Renderer", wrap: str, nearest: bool) -> None:
     frame = draw(renderer, world, "position", "albedo")
     p = frame["position"].astype(np.float64)
     uv = np.stack([p[..., 0] / 4 + 0.5, p[..., 2] / 4 + 0.5], -1)
-    uv = uv @ transform[:, :2].T + transform[:, 2]
-    want = sample(texels, uv, (wrap, "repeat"), nearest) * (0.9, 0.8, 0.7)
+    uv = transformed(look, uv.reshape(-1, 2)).reshape(uv.shape)
+    want = sampled(look, linear(look.image.texels, srgb=True), uv.reshape(-1, 2)).reshape(*uv.shape[:2], 4)
+    want = want[..., :3] * (0.9, 0.8, 0.7)
     error = np.abs(frame["albedo"] - want).max(-1)
     if nearest:  # a texel's border is a step: float32 may fall on the other side
         step = np.abs(uv * (5, 3) - np.round(uv * (5, 3))).min(-1) < 1e-4
         error = error[~step]
     assert error.max() < BARS["albedo"].value, error.max()
-
-
-def sample(texels: Any, uv: "F64", wrap: tuple[str, str], nearest: bool, srgb: bool = True) -> "F64":
-    """glTF's texture lookup in float64: (0, 0) is the top left corner, filtered after decoding sRGB."""
-    t = np.asarray(texels, np.float64) / 255
-    if srgb:
-        rgb = t[..., :3]
-        t[..., :3] = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-    height, width = t.shape[:2]
-
-    def place(i: Any, count: int, how: str) -> Any:
-        if how == "clamp":
-            return np.clip(i, 0, count - 1)
-        if how == "repeat":
-            return i % count
-        i = i % (2 * count)
-        return np.where(i < count, i, 2 * count - 1 - i)
-
-    x, y = uv[..., 0] * width, uv[..., 1] * height
-    if nearest:
-        return t[place(np.floor(y).astype(int), height, wrap[1]), place(np.floor(x).astype(int), width, wrap[0])]
-    i, j = np.floor(x - 0.5).astype(int), np.floor(y - 0.5).astype(int)
-    fx, fy = (x - 0.5 - i)[..., None], (y - 0.5 - j)[..., None]
-    columns = [place(i + k, width, wrap[0]) for k in (0, 1)]
-    rows = [place(j + k, height, wrap[1]) for k in (0, 1)]
-    top = t[rows[0], columns[0]] * (1 - fx) + t[rows[0], columns[1]] * fx
-    low = t[rows[1], columns[0]] * (1 - fx) + t[rows[1], columns[1]] * fx
-    return top * (1 - fy) + low * fy
 
 
 def test_minified_texture_is_its_mean(renderer: "Renderer") -> None:
