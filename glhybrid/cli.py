@@ -278,6 +278,9 @@ def bench(
     motion: Annotated[
         bool, Parameter(help="Instead: age of refitted trees, instances in motion, and reading pictures back.")
     ] = False,
+    view: Annotated[
+        bool, Parameter(help="Instead: how long the viewer takes to answer, in motion and at rest.")
+    ] = False,
     device: Annotated[str, Parameter(help="auto, gpu, software, egl:N, cuda:N or osmesa.")] = "auto",
     size: Annotated[
         str | None, Parameter(help="Pixels, WxH; 1920x1080 on a GPU, else 1280x720, or 480x270 with --quick.")
@@ -289,8 +292,10 @@ def bench(
     """Measure ray rates, frames and the tree builder; exit status 1 if any two variants find different hits."""
     common = Common(allow_outside=allow_outside) if size is None else Common(size=size, allow_outside=allow_outside)
     pixels = None if size is None else common.pixels()
-    if motion and scale:
-        raise SettingError("--motion and --scale are benches of their own: give one")
+    if motion + scale + view > 1:
+        raise SettingError("--motion, --scale and --view are benches of their own: give one")
+    if view:
+        return _bench_view(scene, quick, device, pixels, common, json, quiet)
     if scale:
         return _bench_scale(scene, quick, device, pixels, svg, json, quiet)
     if svg is not None:
@@ -356,6 +361,21 @@ def _bench_motion(
     for failure in report.failures:
         console.error(failure)
     return 1 if report.failures else 0
+
+
+def _bench_view(
+    names: Sequence[str], quick: bool, device: str, size: tuple[int, int] | None, common: Common, as_json: bool,
+    quiet: bool,
+) -> int:  # fmt: skip
+    from glhybrid.bench import view
+
+    with console.progress(not (quiet or as_json)) as progress:
+        report = view.run(names, load=common.load, quick=quick, device=device, size=size, progress=progress)
+    if as_json:
+        _print_json(report)
+    else:
+        view.show(report)
+    return 0
 
 
 @app.command

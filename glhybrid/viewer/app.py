@@ -67,6 +67,7 @@ class Viewer:
         self._dirty = SETTLE_FRAMES
         self._caption = ""
         self.frames = 0  # presented
+        self._probed = False
 
     # The loop
 
@@ -102,6 +103,9 @@ class Viewer:
             return False
         self._dirty = max(self._dirty - 1, 0)
         self._present()
+        if not self._probed and self.pictures.picture("a").done:
+            self._probed = True
+            self._focus()  # what the first drag asks for: its programs are compiled now
         return True
 
     @property

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 GPU_MS, SOFTWARE_MS = 30.0, 140.0  # of a frame in motion: answers within 50 ms on a GPU, 5 frames/s on a CPU
+FIRST_SOFTWARE = 0.25  # of each side: the first picture on a CPU, which nobody knows the cost of
 REST_S = 0.25  # without motion, before the picture is made in full
 SCALES = (1.0, 0.75, 0.5, 0.375, 0.25, 0.1875, 0.125)  # of each side
 
@@ -12,17 +13,17 @@ class Budget:
     """Learns what a pixel costs and says at which share of each side the next frame in motion is drawn."""
 
     target_ms: float
-    scale: float = 1.0
+    scale: float = 1.0  # until there is a measurement
     _cost: float = 0.0  # ms of a picture of full size
+
+    @staticmethod
+    def of(software: bool) -> "Budget":
+        return Budget(SOFTWARE_MS, FIRST_SOFTWARE) if software else Budget(GPU_MS)
 
     def note(self, ms: float, scale: float) -> None:
         """A picture at this scale took so long. Dearer ones are believed at once, cheaper ones by halves."""
         cost = ms / scale**2
         self._cost = cost if cost > self._cost else (self._cost + cost) / 2
-
-    def forget(self) -> None:
-        """Something else is drawn from now on."""
-        self._cost = 0.0
 
     def next(self) -> float:
         """The largest scale within the target; a larger one than before only with room to spare."""

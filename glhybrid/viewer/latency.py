@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from glhybrid.viewer.app import Viewer
 
 RATE = 125  # motions a second, a plain mouse's
+WARM_UP = 10  # frames in motion, in which programs are compiled and the budget learns
 TURN_S = 2.0  # once round the path
 REST_STEP_S = 0.137  # between the moments at rest at which drags begin, so that they meet a sample anywhere
 
@@ -114,7 +115,8 @@ def measure(viewer: "Viewer", hand: Hand, seconds: float = 5.0, rests: int = 7) 
 
     tick(lambda: pictures.sides["a"].done > 1 or pictures.sides["a"].finished)
     hand.press()
-    wait(min(seconds, 2.0))  # programs are compiled and the budget learns
+    wait(min(seconds, 2.0))
+    tick(lambda: len(hand.answers) >= WARM_UP)
     hand.answers.clear()
     shares, start = [], time.perf_counter()
     while viewer.running and time.perf_counter() - start < seconds:

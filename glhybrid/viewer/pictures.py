@@ -16,7 +16,7 @@ from glhybrid.settings import Settings
 from glhybrid.staged import Staged
 from glhybrid.timing import Progress
 from glhybrid.viewer import views
-from glhybrid.viewer.budget import GPU_MS, REST_S, SOFTWARE_MS, Budget, scaled
+from glhybrid.viewer.budget import REST_S, Budget, scaled
 from glhybrid.viewer.measure import Measure
 from glhybrid.viewer.picture import Picture
 from glhybrid.viewer.session import Session
@@ -44,7 +44,7 @@ class Pictures:
         self.renderer, self.session, self._turn = renderer, session, turn
         self.sides: dict[Side, Picture] = {side: Picture(renderer, self._retire, progress) for side in SIDES}
         self._software = renderer.context.device.software
-        self.budget = Budget(SOFTWARE_MS if self._software else GPU_MS)
+        self.budget = Budget.of(self._software)
         if not self._software:
             renderer.shaders.pace.band_ms = GPU_BAND_MS
         self.measure = Measure(session, texture)
@@ -330,7 +330,7 @@ class Pictures:
         self._arrays.clear()
         for side in SIDES:
             self.measure.forget(side)
-        self.budget.forget()
+        self.budget = Budget.of(self._software)
 
     def close(self) -> None:
         self.measure.close()

@@ -141,6 +141,10 @@ class Window:
         width, height = self._glfw.get_framebuffer_size(self._window)
         return max(width, 1), max(height, 1)
 
+    def resize(self, size: tuple[int, int]) -> None:
+        """Asks for another size, in screen coordinates; the window manager decides."""
+        self._glfw.set_window_size(self._window, *size)
+
     @property
     def scale(self) -> float:
         return max(1.0, float(self._glfw.get_window_content_scale(self._window)[0]))
