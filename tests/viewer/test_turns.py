@@ -226,14 +226,14 @@ def test_escape_ends_a_staging_and_leaves_nothing(
         picture._progress = progress
     counts = []
     for _ in range(2):  # programs are compiled by the second
-        viewer.session.set("a", shadows="baked")
+        viewer.session.set("a", shadows="baked", parameters={"shadows.baked.texels": 2.0})
         viewer.tick()
         assert viewer.session.a.shadows == "ray" and any("ended" in s.text for s in viewer.session.said)
         viewer.settle()
         counts.append(objects(context))
     assert counts[0] == counts[1]
     assert any(w.startswith("baking light") for w in told)
-    viewer.session.set("a", shadows="baked")
+    viewer.session.set("a", shadows="baked", parameters={"shadows.baked.texels": 2.0})
     for picture in viewer.pictures.sides.values():
         picture._progress = real
     viewer.settle()
