@@ -37,6 +37,7 @@ class Renderer:
         self.context = context or open_context(device)
         self.shaders = Shaders(self.context)
         self._most = INTERACTIVE_STAGINGS if interactive else 1
+        self.planned_size: tuple[int, int] | None = None  # decides between raster and rays in place of a picture's own
         self._stagings: list[Staged] = []  # the last one was used last
         self.rings: set[Ring] = set()  # of frames() and arrays() that are not at their end
 
@@ -128,14 +129,16 @@ class Renderer:
             if staged.fits(scene, settings, aovs):
                 self._stagings.remove(staged)
                 self._stagings.append(staged)
-                staged.resume(scene, settings, size, spare=self._most > 1)
+                staged.resume(scene, settings, size, self._most > 1, self.planned_size)
                 return staged
         shared = next((s for s in reversed(self._stagings) if s.shares_upload(scene, settings)), None)
         self._drop(self._most - 1, shared.upload if shared else None)
         kept = (shared.upload, shared.mover) if shared else None
         if progress is not None and "tuning" not in self.__dict__:
             progress("measuring this device, once", 0, 0)
-        staged = Staged(self.context, self.shaders, scene, settings, size, aovs, kept, self.tuning, progress)
+        staged = Staged(
+            self.context, self.shaders, scene, settings, size, aovs, kept, self.tuning, progress, self.planned_size
+        )
         self._stagings.append(staged)
         return staged
 

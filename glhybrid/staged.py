@@ -51,7 +51,7 @@ OF_PASSES = {
 class Staged:
     """Owns what a scene needs on the device under some settings, but for the programs, which `shaders` keeps.
 
-    kept: trees and buffers of another staging, and what moves them, to be shared with it.
+    kept: trees and buffers of another staging, and what moves them, to be shared with it. planned: as of resume().
     """
 
     def __init__(
@@ -65,6 +65,7 @@ class Staged:
         kept: tuple[GpuScene, Mover | None] | None = None,
         tuning: Tuning | None = None,
         progress: Progress | None = None,
+        planned: tuple[int, int] | None = None,
     ) -> None:
         self.context, self.shaders, self.scene, self.settings, self.aovs = context, shaders, scene, settings, aovs
         self.stale = False  # shaders were changed
@@ -76,7 +77,7 @@ class Staged:
         self.bounds = moving.bounds if moving is not None else start.bounds()
         self.plan = plan.make(
             start, settings, software=context.device.software, clip_control=context.limits.clip_control, motion=moving,
-            tuning=tuning, size=size,
+            tuning=tuning, size=planned or size,
         )  # fmt: skip
         self.upload, self.mover = kept or self._upload(moving, progress)
         try:
@@ -181,8 +182,14 @@ class Staged:
         """Whether a scene differs at most in numbers of its lights and of its environment."""
         return scene is self.scene or differs_in_numbers(scene, self.scene)
 
-    def resume(self, scene: Scene, settings: Settings, size: tuple[int, int], spare: bool = False) -> None:
-        """Readies this staging again after others that share its upload were used. spare: keep images of two sizes."""
+    def resume(
+        self, scene: Scene, settings: Settings, size: tuple[int, int], spare: bool = False,
+        planned: tuple[int, int] | None = None,
+    ) -> None:  # fmt: skip
+        """Readies this staging again after others that share its upload were used. spare: keep images of two sizes.
+
+        planned: the size that decides how the camera's view is found, instead of size.
+        """
         self.upload.resources.update(self._own)
         self.scene, self.settings = scene, settings
         self.constants.under(scene, settings)
@@ -200,7 +207,7 @@ class Staged:
             self._spare.release()
             self._spare = None
         if settings.primary == "auto" and self._tuning is not None:
-            self.plan = plan.resized(self.plan, self._tuning, self._triangles, size)
+            self.plan = plan.resized(self.plan, self._tuning, self._triangles, planned or size)
             self.passes.see(self.plan.primary)
 
     def holds(self, targets: Targets) -> bool:

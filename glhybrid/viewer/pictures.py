@@ -120,6 +120,8 @@ class Pictures:
         """
         session, now = self.session, clock.monotonic()
         self.size = size
+        if not self._software:  # there the raster is quick, and another program in motion takes its time to compile
+            self.renderer.planned_size = size
         key, self._looks = self._key(), (session.show, session.light_shown)
         if self._stuck == key:
             return False  # nothing has changed since nothing could be drawn

@@ -75,14 +75,14 @@ def parse(text: str) -> Event | tuple[int, int] | str | None:
 
 
 def encode(rgb: U8, exact: bool) -> bytes:
-    """PNG if exact, else JPEG."""
+    """PNG if exact, else JPEG with its colours at half size, which takes two thirds of the time."""
     from PIL import Image
 
     buffer, image = io.BytesIO(), Image.fromarray(rgb)
     if exact:
         image.save(buffer, "PNG", compress_level=1)
     else:
-        image.save(buffer, "JPEG", quality=QUALITY, subsampling=0)
+        image.save(buffer, "JPEG", quality=QUALITY, subsampling=2)
     return buffer.getvalue()
 
 
