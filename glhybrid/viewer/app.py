@@ -17,7 +17,7 @@ from glhybrid.renderer import Renderer
 from glhybrid.scene import U8, Scene
 from glhybrid.viewer import camera_control, picking, store, views
 from glhybrid.viewer.controls import Controls
-from glhybrid.viewer.events import Close, Drop, Event
+from glhybrid.viewer.events import Close, Drop, Event, merged
 from glhybrid.viewer.gui import Gui
 from glhybrid.viewer.overlay import Overlay
 from glhybrid.viewer.panels import Panels
@@ -83,7 +83,7 @@ class Viewer:
         events = [*events, *self.surface.poll(waiting if self.surface.visible else IDLE_S)]
         taken = clock.perf_counter()
         self.controls.size = self.picture_size
-        for event in events:
+        for event in merged(events):
             self._take(event)
         while self._asked:
             self.act(self._asked.pop(0))
@@ -143,6 +143,7 @@ class Viewer:
         now = clock.perf_counter()
         seconds, self._presented_at = now - self._presented_at, now
         self.frames += 1
+        self.turns.presented = True
         canvas = self._get_canvas()
         canvas.clear(0.09, 0.092, 0.1, 1.0)
         self.gui.begin(seconds)
@@ -302,7 +303,8 @@ class Viewer:
 
     def _reload_shaders(self) -> None:
         try:
-            count = self.renderer.reload_shaders()
+            with self.turns.endless(self.renderer.shaders):
+                count = self.renderer.reload_shaders()
         except ShaderError as error:
             self.session.say(f"the last good program stays. {error}", error=True)
             self._dirty = SETTLE_FRAMES

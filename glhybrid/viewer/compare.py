@@ -2,7 +2,7 @@
 
 import importlib
 import multiprocessing
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,32 +56,58 @@ def flip(rgb: U8, reference: U8) -> tuple[F32, float]:
     return np.asarray(error, np.float32).reshape(rgb.shape[:2]), float(mean)
 
 
-class FlipWorker:
-    """FLIP in a process of its own: it takes a second for a million pixels and holds Python's lock meanwhile."""
+class Worker:
+    """Errors made aside: numbers in a thread, FLIP in a process of its own, as it holds Python's lock for a second.
+
+    For pictures of 1920x1080 both take half a second and more.
+    """
 
     def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(1, "glhybrid-compare")
         self._pool: ProcessPoolExecutor | None = None
-        self._running: tuple[Any, Future[tuple[F32, float]]] | None = None
+        self._numbers: tuple[Any, Future[Error]] | None = None
+        self._flip: tuple[Any, Future[tuple[F32, float]]] | None = None
 
     @property
     def busy(self) -> bool:
-        return self._running is not None
+        return self._numbers is not None or self._flip is not None
+
+    @property
+    def flipping(self) -> bool:
+        return self._flip is not None
+
+    @property
+    def counting(self) -> bool:
+        return self._numbers is not None
+
+    def count(self, key: Any, rgb: U8, reference: U8, radiance: F32, true_radiance: F32, samples: int) -> None:
+        """numbers() aside. key: given back with the result. Only while not `counting`."""
+        assert self._numbers is None
+        self._numbers = key, self._thread.submit(numbers, rgb, reference, radiance, true_radiance, samples)
 
     def start(self, key: Any, rgb: U8, reference: U8) -> None:
-        """key: given back with the result. Only while not busy."""
-        assert self._running is None
+        """flip() aside. key: given back with the result. Only while not `flipping`."""
+        assert self._flip is None
         if self._pool is None:
             self._pool = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
-        self._running = key, self._pool.submit(flip, rgb.copy(), reference.copy())
+        self._flip = key, self._pool.submit(flip, rgb.copy(), reference.copy())
 
-    def result(self, wait: bool = False) -> tuple[Any, F32, float] | None:
-        """(key, map, mean) once; None while there is nothing new. Raises what the work raised."""
-        if self._running is None or not (wait or self._running[1].done()):
+    def counted(self, wait: bool = False) -> tuple[Any, Error] | None:
+        """(key, numbers) once; None while there is nothing new. Raises what the work raised."""
+        if self._numbers is None or not (wait or self._numbers[1].done()):
             return None
-        (key, future), self._running = self._running, None
+        (key, future), self._numbers = self._numbers, None
+        return key, future.result()
+
+    def flipped(self, wait: bool = False) -> tuple[Any, F32, float] | None:
+        """(key, map, mean) once; None while there is nothing new. Raises what the work raised."""
+        if self._flip is None or not (wait or self._flip[1].done()):
+            return None
+        (key, future), self._flip = self._flip, None
         return key, *future.result()
 
     def close(self) -> None:
+        self._thread.shutdown(cancel_futures=True)
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
             self._pool = None

@@ -1,5 +1,6 @@
 """Input as the viewer reads it, whatever it came from: a window, a browser, a test. Pixels, origin at the top left."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 LEFT, RIGHT, MIDDLE = 0, 1, 2
@@ -76,3 +77,9 @@ class Close:
 
 
 Event = Move | Button | Wheel | Key | Text | Drop | Focus | Close
+
+
+def merged(events: Sequence[Event]) -> list[Event]:
+    """Of moves in a row the last: only where the pointer is now counts, and after a long frame there are hundreds."""
+    pairs = zip(events, (*events[1:], None), strict=False)
+    return [event for event, after in pairs if not (isinstance(event, Move) and isinstance(after, Move))]

@@ -22,10 +22,10 @@ class Measure:
         self.errors: dict[str, compare.Error] = {}
         self.legend: views.Legend | None = None
         self._session, self._upload = session, upload
-        self._worker = compare.FlipWorker()
+        self._worker = compare.Worker()
         self._has_flip = compare.has_flip()
         self._pairs: dict[str, tuple[Any, U8, U8]] = {}
-        self._flips: dict[str, tuple[Any, F32]] = {}
+        self._flips: dict[str, tuple[Any, F32, float]] = {}
         self._asked: dict[str, Any] = {}
         self._maps: dict[str, tuple[Any, Any]] = {}
 
@@ -46,31 +46,38 @@ class Measure:
         changed = self._deliver()
         done = theirs.done if theirs.finished else 1 << (theirs.done.bit_length() - 1)
         key = version, done
-        if self._pairs.get(side, (None,))[0] != key:
+        if self._pairs.get(side, (None,))[0] != key and not self._worker.counting:
             first, second = ours.rgb(), theirs.rgb()
             if first.shape != second.shape:
                 return changed
-            error = compare.numbers(first, second, ours.radiance(), theirs.radiance(), theirs.done)
-            old = self.errors.get(side)
-            self.errors[side] = replace(error, flip=old.flip if old is not None else None)
             self._pairs[side] = key, first, second
+            self._worker.count((side, key), first, second, ours.radiance(), theirs.radiance(), theirs.done)
             changed = True
-        if self._has_flip and self._asked.get(side) != key and not self._worker.busy:
-            self._asked[side] = key
-            self._worker.start((side, key), *self._pairs[side][1:])
+        if self._has_flip and side in self._pairs and not self._worker.flipping:
+            key, first, second = self._pairs[side]
+            if self._asked.get(side) != key:
+                self._asked[side] = key
+                self._worker.start((side, key), first, second)
         return self._make_map(side) or changed
 
     def _deliver(self, wait: bool = False) -> bool:
-        found = self._worker.result(wait)
-        if found is None:
-            return False
-        (side, key), error_map, mean = found
-        if self._asked.get(side) != key or side not in self.errors:
-            return False  # drawn anew meanwhile
-        self.errors[side] = replace(self.errors[side], flip=mean)
-        self._flips[side] = key, error_map
-        self._make_map(side)
-        return True
+        """Takes what is done; whether there was anything that is still of use."""
+        changed = False
+        if (counted := self._worker.counted(wait)) is not None:
+            (side, key), error = counted
+            if self._pairs.get(side, (None,))[0] == key:  # else drawn anew meanwhile
+                flip = self._flips.get(side)
+                self.errors[side] = replace(error, flip=flip[2] if flip is not None else None)
+                changed = True
+        if (flipped := self._worker.flipped(wait)) is not None:
+            (side, key), error_map, mean = flipped
+            if self._asked.get(side) == key:
+                self._flips[side] = key, error_map, mean
+                if side in self.errors:
+                    self.errors[side] = replace(self.errors[side], flip=mean)
+                self._make_map(side)
+                changed = True
+        return changed
 
     def _make_map(self, side: str) -> bool:
         mode = self._session.mode
@@ -83,7 +90,7 @@ class Measure:
                 self._maps[side] = wanted, self._upload(f"map {side}", rgb)
                 return True
         if mode == "flip" and side in self._flips:
-            key, error_map = self._flips[side]
+            key, error_map, _ = self._flips[side]
             if self._maps.get(side, (None,))[0] != (mode, key):
                 rgb, self.legend = views.heat(error_map, 1.0, "FLIP")
                 self._maps[side] = (mode, key), self._upload(f"map {side}", rgb)
@@ -99,7 +106,7 @@ class Measure:
         return found[1] if found is not None and found[0][0] == self._session.mode else None
 
     def settle(self) -> bool:
-        """Waits for FLIP; whether there was any."""
+        """Waits for what is on its way; whether there was any."""
         return self._deliver(wait=True)
 
     def close(self) -> None:

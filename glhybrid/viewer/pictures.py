@@ -23,8 +23,8 @@ from glhybrid.viewer.session import Session
 from glhybrid.viewer.views import PICTURE
 
 Side = Literal["a", "b", "reference"]
-LONG_MS = 60.0  # a sample that takes longer is drawn in parts, with looks at the input in between
-GPU_BAND_MS = 12.0  # of such a part on a GPU, whose frames in motion are short too
+LONG_MS = 15.0  # a sample that takes longer is drawn in parts, with looks at the input in between
+GPU_BAND_MS = 10.0  # of such a part on a GPU, whose frames in motion are short too
 SLICE_MS = 25.0  # of samples between two looks at the input, at rest: more than one only where they are cheap
 STAGED_AOVS = ("reason", "motion")  # need programs of their own
 SIDES: tuple[Side, ...] = ("a", "b", "reference")
@@ -302,7 +302,7 @@ class Pictures:
             self.picture(side).show(self._exposure_for(side))
 
     def settle(self) -> None:
-        """Waits for FLIP."""
+        """Waits for the errors."""
         while self.measure.settle():
             self._measure()
 

@@ -6,11 +6,13 @@ shown as they go, Esc ends them, and other input waits.
 """
 
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from glhybrid.errors import GlhybridError
 from glhybrid.pace import Interrupted
+from glhybrid.shaders import Shaders
 from glhybrid.viewer.controls import Controls
 from glhybrid.viewer.events import Button, Close, Event, Focus, Key, Move, Text, Wheel
 from glhybrid.viewer.gui import Gui
@@ -26,16 +28,17 @@ class Cancelled(GlhybridError):
 
 @dataclass
 class Job:
-    """A preparation. done of total; total 0: nobody knows. since: when it began."""
+    """A preparation. done of total; total 0: nobody knows. since: when it began. at_once: it is shown from then on."""
 
     what: str
     done: int
     total: int
     since: float
+    at_once: bool = False
 
     @property
     def shown(self) -> bool:
-        return clock.monotonic() - self.since > PATIENCE_S
+        return self.at_once or clock.monotonic() - self.since > PATIENCE_S
 
 
 class Turns:
@@ -53,6 +56,8 @@ class Turns:
         self._take, self._present, self._stale = take, present, stale
         self.pending: list[Event] = []
         self.job: Job | None = None
+        self.presented = False  # whether there is anything to see yet
+        self._software = surface.context.device.software
         self._looked = 0.0
 
     def turn(self) -> None:
@@ -83,10 +88,11 @@ class Turns:
     def progress(self, what: str, done: int, total: int) -> None:
         """How far a preparation is. Raises Cancelled."""
         now = clock.monotonic()
-        if self.job is None:
-            self.job = Job(what, done, total, now)
-        self.job.what, self.job.done, self.job.total = what, done, total
-        if now - self._looked < LOOK_S:
+        job = self.job = self.job or Job(what, done, total, now, at_once=not self.presented)
+        changed, job.what, job.done, job.total = job.what != what or now == job.since, what, done, total
+        if changed and what.startswith(("compiling", "measuring")) and not self._software:
+            job.at_once = True  # nobody has a turn until a GPU's compiler is done
+        elif now - self._looked < LOOK_S:
             return
         self._looked = now
         events = self._surface.poll(0.0)
@@ -95,8 +101,17 @@ class Turns:
         if len(wanted) < len(events) or any(isinstance(e, Close) for e in events):
             self.job = None
             raise Cancelled(f"{what}: ended")
-        if self.job.shown and self._surface.visible:
+        if job.shown and self._surface.visible:
             self._present()
+
+    @contextmanager
+    def endless(self, shaders: Shaders) -> Iterator[None]:
+        """Compiling in here cannot be ended, nor is it shown."""
+        told, shaders.progress = shaders.progress, None
+        try:
+            yield
+        finally:
+            shaders.progress = told
 
     def prepared(self) -> None:
         """There is nothing to prepare any more."""
