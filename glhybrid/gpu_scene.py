@@ -3,6 +3,7 @@
 `resources` holds everything by its GLSL name; a buffer that the scene does not need is not there.
 """
 
+import re
 from typing import Any, NamedTuple
 
 import moderngl
@@ -83,6 +84,11 @@ class GpuScene:
         self.resources["Instances"] = self._buffer("Instances", self._instances.nbytes)
         self.lights = scene.lights
         self.resources["Lights"] = self._buffer("Lights", max(len(self.lights), 1) * layout.dtype("Light").itemsize)
+        for block in ("Instances", "Lights", "Materials", "Textures", "TextureLevels"):
+            if block in self.resources:  # the same bytes, as llvmpipe reads them faster
+                view = BufferTexture(context.raw, self.resources[block])
+                self._owned.append(view)
+                self.resources[re.sub(r"(?<=[a-z])(?=[A-Z])", "_", block).lower()] = view
 
     def add_trees(self, geometry: Geometry) -> None:
         """Readies the scene for rays. geometry: the same with the trees of its meshes (geometry.grow_trees)."""

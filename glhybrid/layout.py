@@ -263,6 +263,36 @@ def glsl_header() -> str:
     return constants + "\n" + tables + "".join(glsl(name) for name in STRUCTS)
 
 
+TABLES = ("Light", "Material", "Instance", "Texture")  # rows of whole texels, which some devices read faster
+
+
+def _read(kind: str, offset: int) -> str:
+    """GLSL that makes a value from texels t0, t1 ... of four words, at a byte offset."""
+    base, _, count = kind.partition("[")
+    if count:
+        number = int(count.rstrip("]"))
+        return f"{base}[{number}]({', '.join(_read(base, offset + 4 * k) for k in range(number))})"
+    if base == "mat4x3":
+        return f"mat4x3({', '.join(_read('vec3', offset + 16 * k) for k in range(4))})"
+    first, words = offset % 16 // 4, int(base[-1]) if base[-1].isdigit() else 1
+    text = f"t{offset // 16}.{'xyzw'[first : first + words]}"
+    return {"f": f"uintBitsToFloat({text})", "v": f"uintBitsToFloat({text})", "i": f"int({text})"}.get(base[0], text)
+
+
+def glsl_readers() -> str:
+    """Text of the virtual include "tables.glsl": for each of TABLES a function that reads a row by texels."""
+    functions = []
+    for name in TABLES:
+        fields, texels = dtype(name), dtype(name).itemsize // 16
+        assert fields.itemsize % 16 == 0 and fields.fields is not None
+        values = ", ".join(_read(kind, fields.fields[field][1]) for kind, field, _ in STRUCTS[name])
+        fetched = "".join(f"    uvec4 t{k} = texelFetch(table, int(row) * {texels} + {k});\n" for k in range(texels))
+        functions.append(
+            f"{name} read_{name}(usamplerBuffer table, uint row) {{\n{fetched}    return {name}({values});\n}}\n"
+        )
+    return "".join(functions)
+
+
 def columns(matrix: Any) -> Any:
     """(..., 4, 4) or (..., 3, 4) row-major matrices as GLSL columns (..., 4, 4) float32: the one transpose."""
     matrix = np.asarray(matrix)

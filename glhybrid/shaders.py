@@ -28,10 +28,16 @@ Resource = moderngl.Texture | moderngl.TextureArray | moderngl.Buffer | BufferTe
 
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$', re.MULTILINE)
 _WORD = re.compile(r"\b[A-Z][A-Z0-9_]+\b")
-BUFFERS = ("attributes", "tangents", "nodes", "slots", "triangles", "vertices")  # as in lib/buffers.glsl
+BUFFERS = (  # as in lib/buffers.glsl
+    "attributes", "tangents", "textures", "texture_levels", "lights", "materials", "instances", "nodes", "slots",
+    "triangles", "vertices",
+)  # fmt: skip
 # Their texture units, the same in all programs, so that they need not be bound anew for each of them.
 BUFFER_UNITS = {name: 16 + k for k, name in enumerate(BUFFERS)}
-_OPTIONAL = {"attributes": "USE_EXTRA_ATTRIBUTES", "tangents": "USE_TANGENTS"}  # those that not every scene has
+_OPTIONAL = {  # those that not every scene has
+    "attributes": "USE_EXTRA_ATTRIBUTES", "tangents": "USE_TANGENTS", "textures": "USE_TEXTURES",
+    "texture_levels": "USE_TEXTURES",
+}  # fmt: skip
 _VERSION = "#version 430 core\n"
 _IMAGE_TYPES = range(0x904C, 0x906D)  # GL_IMAGE_1D .. GL_UNSIGNED_INT_IMAGE_2D_MULTISAMPLE_ARRAY
 _SAMPLER_TYPES = {0x8B5E, 0x8DC1, 0x8DD2, 0x8DD0, 0x8DD8, 0x8DC2, 0x8B60, 0x8DCA}
@@ -51,6 +57,8 @@ class Source:
         self.files.append(path)
         if path == "layout.glsl":
             text = layout.glsl_header()
+        elif path == "tables.glsl":
+            text = layout.glsl_readers()
         else:
             file = next((f / path for f in folders if (f / path).is_file()), folders[0] / path)
             if not file.is_file():

@@ -23,7 +23,7 @@ void main() {
         Hit hit = closest_hit(ray);
         if (hit.triangle == ID_NONE) return;
         Point p = point_at(hit, ray);
-        LightSample light = light_at(lights[0], p.position);
+        LightSample light = light_at(light_row(0), p.position);
         random_seed(uvec2(px), 0u, 1u);
         vec2 xi = random_vec2();
         float r = sqrt(xi.x), phi = 2.0 * PI * xi.y;

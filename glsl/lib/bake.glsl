@@ -16,7 +16,7 @@ uint bake_row() { return gl_GlobalInvocationID.x + gl_GlobalInvocationID.y * gl_
 
 // The exact point; n_geo is that of the front.
 Point bake_point(uvec4 texel) {
-    Instance inst = instances[texel.x];
+    Instance inst = instance_row(texel.x);
     uvec4 tri = texelFetch(triangles, int(texel.y));
     vec2 bary = uintBitsToFloat(texel.zw);
     if (SPHERES && tri.x == tri.y) return sphere_point_at(tri, oct_decode(bary), inst);

@@ -5,17 +5,27 @@
 // that it declares; a buffer has none, and finds there what another program's texture left: after the first frame nearly
 // every program was compiled again. The last element is one that every program with textures beside buffers reads, for an
 // array ends at the last element in use. (Programs without buffers read images, not textures, for the same reason.)
-uniform usamplerBuffer buffers[6];
+uniform usamplerBuffer buffers[11];
 #if USE_EXTRA_ATTRIBUTES
 #define attributes buffers[0]
 #endif
 #if USE_TANGENTS
 #define tangents buffers[1]
 #endif
-#define nodes buffers[2]
-#define slots buffers[3]
-#define triangles buffers[4]
-#define vertices buffers[5]
+#define nodes buffers[7]
+#define slots buffers[8]
+#define triangles buffers[9]
+#define vertices buffers[10]
+// The scene's small tables too: llvmpipe reads a storage block in a loop over the lanes for every field, a texel of four
+// fields for all lanes at once. A tenth of a frame.
+#include "tables.glsl"
+#if USE_TEXTURES
+#define texture_row(i) read_Texture(buffers[2], uint(i))
+#define texture_level_row(i) texelFetch(buffers[3], int(i))
+#endif
+#define light_row(i) read_Light(buffers[4], uint(i))
+#define material_row(i) read_Material(buffers[5], uint(i))
+#define instance_row(i) read_Instance(buffers[6], uint(i))
 #else
 uniform usamplerBuffer nodes;        // 2 texels each: two children's boxes and references
 uniform usamplerBuffer slots;        // 3 texels each: v0, triangle; v1, geometry; v2, kind
@@ -27,4 +37,9 @@ uniform usamplerBuffer tangents;     // 1 texel a vertex: direction, handedness
 #if USE_EXTRA_ATTRIBUTES
 uniform usamplerBuffer attributes;   // 1 texel a vertex: second uv set, colour as 4 x half
 #endif
+#define texture_row(i) textures[i]
+#define texture_level_row(i) texture_levels[i]
+#define light_row(i) lights[i]
+#define material_row(i) materials[i]
+#define instance_row(i) instances[i]
 #endif

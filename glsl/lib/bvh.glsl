@@ -93,6 +93,16 @@ float box_entry(uvec3 planes, LocalRay r, float t_min, float t_max) {
     return span.x <= span.y ? intBitsToFloat(span.x) : INFINITY;
 }
 
+// Whether none is negative or none is positive; both zeros are neither.
+bool one_sign(vec3 w) {
+#if USE_BRANCHLESS
+    ivec3 a = floatBitsToInt(w), b = floatBitsToInt(-w);                         // bits of what is not positive are <= 0
+    return min(max(max(a.x, a.y), a.z), max(max(b.x, b.y), b.z)) <= 0;
+#else
+    return min3(w) >= 0.0 || max3(w) <= 0.0;
+#endif
+}
+
 // Woop's test. Returns det (0 = outside) and the scaled weights of v0, v1, v2, and the depths along the ray's main axis.
 float triangle_weights(LocalRay r, vec3 v0, vec3 v1, vec3 v2, out vec3 weights, out vec3 depths) {
     vec3 a = permute(v0 - r.origin, r.axis), b = permute(v1 - r.origin, r.axis), c = permute(v2 - r.origin, r.axis);
@@ -104,8 +114,7 @@ float triangle_weights(LocalRay r, vec3 v0, vec3 v1, vec3 v2, out vec3 weights, 
     precise float w0 = bx * ay, w1 = by * ax, w = w0 - w1;
     weights = vec3(u, v, w);
     depths = vec3(a.z, b.z, c.z) * r.shear.z;
-    bool inside = min3(weights) >= 0.0 || max3(weights) <= 0.0;
-    return inside ? u + v + w : 0.0;
+    return one_sign(weights) ? u + v + w : 0.0;
 }
 
 // Moeller-Trumbore, the control of the leak tests: it must fail where the test above holds.
@@ -151,15 +160,15 @@ vec3 transmittance_at(HitGroup group, Hit hit, Ray ray, bool front, uint see) {
 #if USE_ALPHA_TEST || USE_BLENDED
     if (group.any_hit == ANY_HIT_MASK || (see == SEE_BLOCKERS && group.any_hit == ANY_HIT_TINT)) {
         bool sphere = SPHERES && group.kind == KIND_SPHERE;
-        if (sphere) hit.bary = sphere_point(texelFetch(triangles, int(hit.triangle)), ray, hit.t, instances[hit.instance]).uv;
+        if (sphere) hit.bary = sphere_point(texelFetch(triangles, int(hit.triangle)), ray, hit.t, instance_row(hit.instance)).uv;
         vec4 color = base_color_at(group.material, hit);
-        if (group.any_hit == ANY_HIT_MASK) result = vec3(color.a < materials[group.material].alpha_cutoff ? 1.0 : 0.0);
+        if (group.any_hit == ANY_HIT_MASK) result = vec3(color.a < material_row(group.material).alpha_cutoff ? 1.0 : 0.0);
 #if USE_BLENDED
         else {
-            Instance inst = instances[hit.instance];
+            Instance inst = instance_row(hit.instance);
             uvec4 tri = texelFetch(triangles, int(hit.triangle));
             Point p = sphere ? sphere_point(tri, ray, hit.t, inst) : triangle_point(tri, hit.bary, inst);
-            result = tint_at(materials[group.material], color, hit, abs(dot(p.n_geo, normalize(ray.dir))));
+            result = tint_at(material_row(group.material), color, hit, abs(dot(p.n_geo, normalize(ray.dir))));
         }
 #endif
     }
@@ -180,10 +189,10 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
     local = world;
 #else
     const uint instance = 0u;                      // whose transform is a translation
-    uint cur = instances[0].root;
-    local = local_ray(ray.origin + instances[0].object_from_world[3], ray.dir, instances[0].grid_min, instances[0].grid_step);
+    uint cur = instance_row(0).root;
+    local = local_ray(ray.origin + instance_row(0).object_from_world[3], ray.dir, instance_row(0).grid_min, instance_row(0).grid_step);
 #endif
-    uint slot = 0u, slot_end = 0u;                 // what is left of the current leaf
+    uint slot = 0u, slot_end = 0u;                 // what is left of the current leaf, in texels
     Hit candidate;
     bool front, pending = false;
     int sp = 0;
@@ -225,7 +234,7 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
             }
             if (instance == ID_NONE) {
                 instance = (cur & ~LEAF) >> 4u;
-                Instance inst = instances[instance];
+                Instance inst = instance_row(instance);
                 mat3 m = mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]);
                 local = local_ray(m * ray.origin + inst.object_from_world[3], m * ray.dir, inst.grid_min, inst.grid_step);
                 stack[++sp] = REF_RETURN;
@@ -234,11 +243,11 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
             }
 #endif
             if (slot == slot_end) {
-                slot = (cur & ~LEAF) >> 4u;
-                slot_end = slot + (cur & 15u);
+                slot = ((cur & ~LEAF) >> 4u) * 3u;
+                slot_end = slot + (cur & 15u) * 3u;
             }
-            for (; slot < slot_end && !pending; slot++) {
-                uvec4 s0 = texelFetch(slots, int(slot) * 3), s1 = texelFetch(slots, int(slot) * 3 + 1), s2 = texelFetch(slots, int(slot) * 3 + 2);
+            for (; slot < slot_end && !pending; slot += 3u) {
+                uvec4 s0 = texelFetch(slots, int(slot)), s1 = texelFetch(slots, int(slot) + 1), s2 = texelFetch(slots, int(slot) + 2);
                 float t;
                 vec2 bary = vec2(0.0);
                 bool met, faces_ray;

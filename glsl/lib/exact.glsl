@@ -5,7 +5,7 @@
 #if USE_EXACT_DISTANCE
 double exact_t(Hit hit, Ray ray) {
     if (hit.triangle == ID_NONE) return double(hit.t);
-    Instance inst = instances[hit.instance];
+    Instance inst = instance_row(hit.instance);
     uvec4 tri = texelFetch(triangles, int(hit.triangle));
     dvec3 d = dvec3(ray.dir), o = dvec3(ray.origin);
 #if USE_SPHERES

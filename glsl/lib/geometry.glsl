@@ -19,7 +19,7 @@ struct Hit {
 
 const Hit MISS = Hit(INFINITY, vec2(0.0), ID_NONE, ID_NONE, 0u);
 
-Record record_of(uint instance, uint geometry) { return records[instances[instance].first_record + geometry]; }
+Record record_of(uint instance, uint geometry) { return records[instance_row(instance).first_record + geometry]; }
 HitGroup hit_group_of(uint instance, uint geometry) { return hit_groups[record_of(instance, geometry).hit_group]; }
 
 float sphere_radius(uvec4 tri) { return uintBitsToFloat(texelFetch(vertices, int(tri.x) * 2 + 1).x); }
@@ -130,7 +130,7 @@ bool intersect_sphere(vec3 f, vec3 dir, float radius, float t_min, float t_max, 
 
 // The hit of a ray with the plane of one known triangle (or its sphere). met: a sphere may be missed; triangles are not.
 Hit hit_known(Ray ray, uint instance, uint triangle, out bool met, out bool front) {
-    Instance inst = instances[instance];
+    Instance inst = instance_row(instance);
     uvec4 tri = texelFetch(triangles, int(triangle));
     mat3 object_from_world = mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]);
     vec3 o = object_from_world * ray.origin + inst.object_from_world[3];

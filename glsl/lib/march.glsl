@@ -32,7 +32,7 @@ bool meets(Ray ray, ivec2 px, out Hit hit) {
     uvec2 id = texelFetch(gbuffer_id, px, 0).xy;
     hit = MISS;
     if (id.y == ID_NONE) return false;
-    Instance inst = instances[id.x];
+    Instance inst = instance_row(id.x);
     uvec4 tri = texelFetch(triangles, int(id.y));
     HitGroup group = hit_group_of(id.x, tri.w);
     mat3 m = mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]);
@@ -48,7 +48,7 @@ bool meets(Ray ray, ivec2 px, out Hit hit) {
     }
     if (SINGLE_SIDED && group.single_sided == 1u && !front) met = false;
     if (ALPHA_TEST && met && group.any_hit == ANY_HIT_MASK)
-        met = base_color_at(group.material, hit).a >= materials[group.material].alpha_cutoff;
+        met = base_color_at(group.material, hit).a >= material_row(group.material).alpha_cutoff;
     return met;
 }
 

@@ -18,11 +18,11 @@ vec3 previous_position(Pixel p, Surface s) {
     vec3 e1 = previous_vertex(tri.y) - v0, e2 = previous_vertex(tri.z) - v0;
     // What has not moved is the same point: not rebuilt, since drivers may round the same sums apart.
     vec3 now_0 = vertex_position(tri.x);
-    if (m == instances[p.hit.instance].world_from_object && v0 == now_0 && e1 == vertex_position(tri.y) - now_0 &&
+    if (m == instance_row(p.hit.instance).world_from_object && v0 == now_0 && e1 == vertex_position(tri.y) - now_0 &&
         e2 == vertex_position(tri.z) - now_0) return s.point.position;
     vec3 p_os = interpolate(v0, e1, e2, p.hit.bary);
     if (SPHERES && hit_group_of(p.hit.instance, tri.w).kind == KIND_SPHERE) {
-        Instance inst = instances[p.hit.instance];
+        Instance inst = instance_row(p.hit.instance);
         p_os = mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]) * s.point.position
              + inst.object_from_world[3];
     }

@@ -37,7 +37,7 @@ vec3 disc_visibility(Point p, LightSample l, uint light) {
     vec3 sum = vec3(0.0);
     for (int i = 0; i < disc_rays; i++) {
         float cos_axis;
-        LightSample to = toward_disc(l, lights[light], sequence_point(start, frame.number * uint(disc_rays) + uint(i)), cos_axis);
+        LightSample to = toward_disc(l, light_row(light), sequence_point(start, frame.number * uint(disc_rays) + uint(i)), cos_axis);
         if (dot(p.n_geo, to.dir) > 0.0) sum += any_hit(Ray(ray_origin(p, to.dir), 0.0, to.dir, to.distance));
     }
     return sum / float(disc_rays);
@@ -47,7 +47,7 @@ vec3 disc_visibility(Point p, LightSample l, uint light) {
 // The share of a light that arrives here: 0 or 1, between through tinted surfaces and in penumbras.
 vec3 visibility_of(Point p, LightSample l, uint light) {
 #if USE_LIGHT_DISCS
-    if (lights[light].size > 0.0) return disc_visibility(p, l, light);
+    if (light_row(light).size > 0.0) return disc_visibility(p, l, light);
 #endif
     return any_hit(Ray(ray_origin(p, l.dir), 0.0, l.dir, l.distance));
 }
@@ -67,7 +67,7 @@ vec3 visibility_from(Surface s, LightSample sample_ws, uint light) {
 vec3 direct_light(Surface s, vec3 v) {
     vec3 sum = vec3(0.0);
     for (uint i = 0u; i < frame.light_count; i++) {
-        LightSample l = light_at(lights[i], s.point.position);
+        LightSample l = light_at(light_row(i), s.point.position);
         if (arrives(l) && faces(s, l.dir)) {
             vec3 f = bsdf_eval(s.bsdf, v, l.dir) * l.irradiance;
 #if USE_SHADOW_RAYS
@@ -133,7 +133,7 @@ uint lit_bits(Hit hit, Ray ray) {
     uint lit = 0u;
     Point p = point_at(hit, ray);
     for (uint i = 0u; i < frame.light_count; i++) {
-        LightSample l = light_at(lights[i], p.position);
+        LightSample l = light_at(light_row(i), p.position);
         if (arrives(l) && dot(p.n_geo, l.dir) > 0.0) lit |= visibility_of(p, l, i).x > 0.0 ? 1u << i : 0u;
     }
     return lit;
@@ -150,7 +150,7 @@ vec3 shade_hit(Hit hit, Ray ray, float footprint, uint lit) {
     vec3 sum = s.emissive;
 #if USE_SHADOW_BITS
     for (uint i = 0u; i < frame.light_count; i++) {
-        LightSample l = light_at(lights[i], s.point.position);
+        LightSample l = light_at(light_row(i), s.point.position);
         if ((lit >> i & 1u) == 1u && faces(s, l.dir)) sum += bsdf_eval(s.bsdf, v, l.dir) * l.irradiance;
     }
 #else

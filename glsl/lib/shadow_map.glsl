@@ -146,7 +146,7 @@ uint cube_face(vec3 d) {
 float map_visibility(Point p, vec3 dir, uint light) {
     ShadowLight maps = shadow_lights[light];
     uint first = maps.first_map, count = maps.map_count;
-    if (maps.cube == 1u) { first += cube_face(p.position - lights[light].position); count = 1u; }
+    if (maps.cube == 1u) { first += cube_face(p.position - light_row(light).position); count = 1u; }
     float lit = 0.0, rest = 1.0;
     for (uint k = 0u; k < count && rest > 0.0; k++) {
         ShadowMap map = shadow_maps[first + k];
@@ -158,7 +158,7 @@ float map_visibility(Point p, vec3 dir, uint light) {
             take = map_blend > 0.0 ? clamp(inside / map_blend, 0.0, 1.0) : float(inside > 0.0);
         }
         if (take > 0.0) {
-            lit += rest * take * filtered(map, r, lights[light]);
+            lit += rest * take * filtered(map, r, light_row(light));
             rest *= 1.0 - take;
         }
     }

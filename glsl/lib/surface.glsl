@@ -31,7 +31,7 @@ vec3 mapped_normal(vec3 texel, float scale, vec3 n, vec4 tangent) {
 
 // The exact point of a hit, n_geo turned to where the ray came from.
 Point point_at(Hit hit, Ray ray) {
-    Instance inst = instances[hit.instance];
+    Instance inst = instance_row(hit.instance);
     uvec4 tri = texelFetch(triangles, int(hit.triangle));
     Point p = triangle_point(tri, hit.bary, inst);
     if (SPHERES && hit_group_of(hit.instance, tri.w).kind == KIND_SPHERE) p = sphere_point(tri, ray, hit.t, inst);
@@ -42,12 +42,12 @@ Point point_at(Hit hit, Ray ray) {
 // ray: the one that found the hit. footprint: diameter in m of what it stands for, at the hit (0 = finest texture level).
 Surface surface_at(Hit hit, Ray ray, float footprint) {
     Surface s;
-    Instance inst = instances[hit.instance];
+    Instance inst = instance_row(hit.instance);
     uvec4 tri = texelFetch(triangles, int(hit.triangle));
     Record record = records[inst.first_record + tri.w];
     s.record = inst.first_record + tri.w;
     HitGroup group = hit_groups[record.hit_group];
-    Material m = materials[group.material];
+    Material m = material_row(group.material);
     s.material = group.material;
     bool sphere = SPHERES && group.kind == KIND_SPHERE;
 
@@ -107,7 +107,7 @@ Surface surface_at(Hit hit, Ray ray, float footprint) {
     for (uint rest = m.texture_slots & uint(TEXTURE_SLOTS); rest != 0u; rest &= rest - 1u) {
         uint k = uint(findLSB(rest));
         bool srgb = k == SLOT_BASE_COLOR || k == SLOT_EMISSIVE || k == SLOT_SPECULAR_COLOR;
-        vec4 c = sample_texture(materials[group.material].texture[k], a.uv0, a.uv1, log2_area, srgb);
+        vec4 c = sample_texture(material_row(group.material).texture[k], a.uv0, a.uv1, log2_area, srgb);
         if (HAS_SLOT(SLOT_BASE_COLOR) && k == SLOT_BASE_COLOR) color *= c;
         if (HAS_SLOT(SLOT_METALLIC_ROUGHNESS) && k == SLOT_METALLIC_ROUGHNESS) { metallic *= c.b; roughness *= c.g; }
         if (HAS_SLOT(SLOT_NORMAL) && k == SLOT_NORMAL) normal_xyz = c.xyz;

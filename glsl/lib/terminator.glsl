@@ -6,7 +6,7 @@
 Point smooth_point(Pixel p, Surface s) {
     Point q = s.point;
     uvec4 tri = texelFetch(triangles, int(p.hit.triangle));
-    Instance inst = instances[p.hit.instance];
+    Instance inst = instance_row(p.hit.instance);
     mat3 to_world = mat3(inst.world_from_object[0], inst.world_from_object[1], inst.world_from_object[2]);
     mat3 normal_from_object = transpose(mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]));
     vec3 w = vec3(1.0 - p.hit.bary.x - p.hit.bary.y, p.hit.bary);

@@ -39,7 +39,7 @@ vec2 texture_uv(Texture tex, vec2 uv0, vec2 uv1) {
 // One loop over four texels of one level, or eight of two: unrolled and inlined everywhere it is called, compilers
 // would see the texel code a hundred times.
 vec4 sample_texture(int index, vec2 uv0, vec2 uv1, float log2_area, bool srgb) {
-    Texture tex = textures[index];
+    Texture tex = texture_row(index);
     vec2 uv = texture_uv(tex, uv0, uv1);
     float lod = clamp(0.5 * (log2_area + tex.log2_texels), 0.0, float(tex.level_count - 1u));
     bool nearest = (tex.sampling & 16u) != 0u;
@@ -47,7 +47,7 @@ vec4 sample_texture(int index, vec2 uv0, vec2 uv1, float log2_area, bool srgb) {
     int taps = between > 0.0 ? 8 : 4;
     vec4 sum = vec4(0.0);
     for (int k = 0; k < taps; k++) {
-        uvec4 level = texture_levels[tex.first_level + uint(lod) + uint(k >> 2)];
+        uvec4 level = texture_level_row(tex.first_level + uint(lod) + uint(k >> 2));
         ivec2 size = ivec2(level.z & 0xFFFFu, level.z >> 16u);
         vec2 p = uv * vec2(size) - (nearest ? 0.0 : 0.5), whole = floor(p);
         ivec2 corner = ivec2(k & 1, (k >> 1) & 1), i = ivec2(whole) + corner;
@@ -95,9 +95,9 @@ const float FINEST_LEVEL = -1e9;
 // By row, not by value: a copy of the whole material costs traversal its registers.
 vec4 base_color_at(uint material, Hit hit) {
     Attributes a = attributes_at(hit);
-    vec4 color = materials[material].base_color * a.color;
+    vec4 color = material_row(material).base_color * a.color;
 #if USE_TEXTURES
-    int image = materials[material].texture[SLOT_BASE_COLOR];
+    int image = material_row(material).texture[SLOT_BASE_COLOR];
     if (image >= 0) color *= sample_texture(image, a.uv0, a.uv1, FINEST_LEVEL, true);
 #endif
     return color;
@@ -109,7 +109,7 @@ Hit hit_uncut(Ray ray, uint instance, uint triangle, out bool met, out bool fron
 #if USE_SPHERES && USE_ALPHA_TEST
     HitGroup group = hit_group_of(instance, hit.geometry);
     if (group.kind == KIND_SPHERE && group.any_hit == ANY_HIT_MASK && met && front) {
-        if (base_color_at(group.material, hit).a < materials[group.material].alpha_cutoff) {
+        if (base_color_at(group.material, hit).a < material_row(group.material).alpha_cutoff) {
             ray.t_min = next_after(hit.t);
             hit = hit_known(ray, instance, triangle, met, front);
         }

@@ -48,7 +48,7 @@ uvec4 value_of(Pixel p) {
     if (USE_AOV == AOV_ROUGHNESS) return bits(s.bsdf.roughness);
     if (USE_AOV == AOV_METALLIC) return bits(s.bsdf.metallic);
     if (USE_AOV == AOV_EMISSIVE) return bits(s.unlit ? vec3(0.0) : s.emissive);
-    if (USE_AOV == AOV_INSTANCE_ID) return uvec4(record.instance_id != ID_NONE ? record.instance_id : instances[p.hit.instance].id);
+    if (USE_AOV == AOV_INSTANCE_ID) return uvec4(record.instance_id != ID_NONE ? record.instance_id : instance_row(p.hit.instance).id);
     if (USE_AOV == AOV_MATERIAL_ID) return uvec4(s.material);
     if (USE_AOV == AOV_TRIANGLE_ID) return uvec4(p.hit.triangle);
 #if USE_AOV == 13

@@ -14,7 +14,7 @@ bool meets_back(Ray ray, out float t) {
     Hit hit = closest_hit(ray);
     t = hit.t;
     if (hit.triangle == ID_NONE) return false;
-    Instance inst = instances[hit.instance];
+    Instance inst = instance_row(hit.instance);
     uvec4 tri = texelFetch(triangles, int(hit.triangle));
     Point p = triangle_point(tri, hit.bary, inst);
     if (SPHERES && tri.x == tri.y) p = sphere_point(tri, ray, hit.t, inst);

@@ -13,7 +13,7 @@ void main() {
     if (row >= bake_count) return;
     Point p = bake_point(bake_texels[row]);
     if (bake_points[row].w == BAKE_PUSHED) p.position = bake_points[row].xyz;
-    Light light = lights[bake_light];
+    Light light = light_row(bake_light);
     bool sun = light.kind == LIGHT_DIRECTIONAL;
     vec3 to_light = sun ? -light.direction : light.position - p.position;
     float away = sun ? INFINITY : length(to_light);

@@ -29,7 +29,7 @@ vec3 surface_radiance(Pixel p, Surface s, ivec2 px) {
     vec3 v = -p.ray.dir;
     vec3 sum = s.emissive;
     for (uint i = 0u; i < frame.light_count; i++) {
-        LightSample l = light_at(lights[i], s.point.position);
+        LightSample l = light_at(light_row(i), s.point.position);
         vec3 light = bsdf_eval(s.bsdf, v, l.dir) * l.irradiance;
 #if USE_VISIBILITY
         vec4 vis = texelFetch(visibility, ivec3(px, i), 0);

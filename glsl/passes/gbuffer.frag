@@ -21,13 +21,13 @@ void main() {
 #endif
 #if USE_SPHERE_PROXY
     if (!met || (SINGLE_SIDED && !front && hit_group_of(instance, hit.geometry).single_sided == 1u)) discard;
-    Point p = sphere_point(texelFetch(triangles, int(triangle)), ray, hit.t, instances[instance]);
+    Point p = sphere_point(texelFetch(triangles, int(triangle)), ray, hit.t, instance_row(instance));
     vec4 clip = frame.clip_from_world * vec4(p.position, 1.0);
     gl_FragDepth = CLIP_CONTROL ? clip.z / clip.w : clip.z / clip.w * 0.5 + 0.5;
 #endif
 #if USE_ALPHA_TEST
     HitGroup group = hit_group_of(instance, hit.geometry);
-    Material m = materials[group.material];
+    Material m = material_row(group.material);
     if (group.any_hit == ANY_HIT_MASK && base_color_at(group.material, hit).a < m.alpha_cutoff) discard;
 #endif
     out_id = uvec2(instance, triangle);

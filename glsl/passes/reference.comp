@@ -20,10 +20,10 @@ vec3 lamps(Surface s, vec3 v) {
     vec3 sum = vec3(0.0);
     if (frame.light_count > 0u) {
         uint i = min(uint(random_float() * float(frame.light_count)), frame.light_count - 1u);
-        LightSample l = light_at(lights[i], s.point.position);
+        LightSample l = light_at(light_row(i), s.point.position);
         float cos_axis = 1.0;
 #if USE_LIGHT_DISCS
-        if (lights[i].size > 0.0) l = toward_disc(l, lights[i], random_vec2(), cos_axis);
+        if (light_row(i).size > 0.0) l = toward_disc(l, light_row(i), random_vec2(), cos_axis);
 #endif
         if (arrives(l) && above(s, l.dir))
             sum = bsdf_eval(s.bsdf, v, l.dir) * l.irradiance * (float(frame.light_count) / cos_axis)
@@ -61,7 +61,7 @@ vec3 sphere_cone(uvec4 tri, Instance inst, vec3 origin, out float one_minus_cos)
 // Density over solid angle of sending a ray to a shining sphere: even over the cone in object space. The far side, seen
 // through a hole in the near one, is not sent to.
 float sphere_pdf(Hit hit, Ray ray, float light) {
-    Instance inst = instances[hit.instance];
+    Instance inst = instance_row(hit.instance);
     uvec4 tri = texelFetch(triangles, int(hit.triangle));
     mat3 object_from_world = mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]);
     float one_minus_cos;
@@ -77,7 +77,7 @@ float sphere_pdf(Hit hit, Ray ray, float light) {
 // Density over solid angle of picking the point of a shining surface that a ray met.
 float emitter_pdf(Hit hit, Ray ray, Surface s) {
     HitGroup group = hit_group_of(hit.instance, hit.geometry);
-    float light = luminance(materials[group.material].emissive);
+    float light = luminance(material_row(group.material).emissive);
 #if USE_SPHERES
     if (group.kind == KIND_SPHERE) return sphere_pdf(hit, ray, light);
 #endif
@@ -88,7 +88,7 @@ float emitter_pdf(Hit hit, Ray ray, Surface s) {
 // A ray to a point of an emitter, and the hit that it has there.
 Ray toward_emitter(Emitter e, vec3 from, vec2 xi, out Hit hit) {
     uvec4 tri = texelFetch(triangles, int(e.triangle));
-    Instance inst = instances[e.instance];
+    Instance inst = instance_row(e.instance);
     Ray ray = Ray(from, 0.0, vec3(0.0), INFINITY);
 #if USE_SPHERES
     if (tri.x == tri.y) {
@@ -127,7 +127,7 @@ vec3 shining(Surface s, vec3 v) {
         bool back = false;                         // a sphere is met from outside
         if (group.kind == KIND_TRIANGLE) {
             uvec4 tri = texelFetch(triangles, int(e.triangle));
-            back = dot(triangle_point(tri, hit.bary, instances[e.instance]).n_geo, ray.dir) > 0.0;
+            back = dot(triangle_point(tri, hit.bary, instance_row(e.instance)).n_geo, ray.dir) > 0.0;
         }
         if (pdf > 0.0 && !(back && group.single_sided == 1u)) {
             vec3 from = ray_origin(s.point, ray.dir), target = ray_origin(there.point, -ray.dir);

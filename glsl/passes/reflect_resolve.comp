@@ -53,7 +53,7 @@ void main() {
         reason = imageLoad(guide, cell_of(px)).z;
     } else {
         Pixel p = load_pixel(px);
-        bool sends = covered(p) && may_send(materials[hit_group_of(p.hit.instance, p.hit.geometry).material]);
+        bool sends = covered(p) && may_send(material_row(hit_group_of(p.hit.instance, p.hit.geometry).material));
         // Two pairs, each on both sides of the pixel: along rows and columns, or the diagonals of a block.
         bool half_grid = uint(USE_REFLECT_GRID) == GRID_HALF;
         ivec2 d = half_grid ? (px & 1) : ivec2(1, 0);

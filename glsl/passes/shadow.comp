@@ -24,10 +24,10 @@ void main() {
 #else
     // The facet decides, without a look at textures: where only the shading normal faces away, the BRDF is 0.
     Point from = point_at(p.hit, p.ray);
-    bool unlit = materials[hit_group_of(p.hit.instance, p.hit.geometry).material].unlit == 1u;
+    bool unlit = material_row(hit_group_of(p.hit.instance, p.hit.geometry).material).unlit == 1u;
 #endif
     for (uint i = frame.light_first; i < frame.light_end; i++) {
-        LightSample l = light_at(lights[i], from.position);
+        LightSample l = light_at(light_row(i), from.position);
         vec3 visibility = vec3(0.0);
 #if USE_TERMINATOR
         if (arrives(l) && faces(s, l.dir)) visibility = any_hit(Ray(shadow_origin(from, l.dir), 0.0, l.dir, l.distance));

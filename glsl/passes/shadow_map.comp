@@ -23,7 +23,7 @@ void main() {
     map_turn = fract(52.9829189 * fract(dot(vec2(px), vec2(0.06711056, 0.00583715))) + dot(frame.jitter_px, vec2(0.7548777, 0.5698403)));
     Surface s = load_surface(p);
     for (uint i = frame.light_first; i < frame.light_end; i++) {
-        LightSample l = light_at(lights[i], s.point.position);
+        LightSample l = light_at(light_row(i), s.point.position);
         vec3 visibility = vec3(0.0);
         if (arrives(l) && faces(s, l.dir)) visibility = vec3(map_visibility(s.point, l.dir, i));
         imageStore(out_visibility, ivec3(px, i), vec4(visibility, 1.0));

@@ -27,13 +27,13 @@ void main() {
     Hit hit = hit_uncut(ray, instance, triangle, met, front);
 #if USE_SPHERE_PROXY
     if (!met) discard;
-    Point p = sphere_point(texelFetch(triangles, int(triangle)), ray, hit.t, instances[instance]);
+    Point p = sphere_point(texelFetch(triangles, int(triangle)), ray, hit.t, instance_row(instance));
     float depth = dot(p.position - map.origin, map.axis) - map.start;
     gl_FragDepth = map.near > 0.0 ? map.near / depth : 1.0 - depth / map.range;
 #endif
 #if USE_ALPHA_TEST
     HitGroup group = hit_group_of(instance, hit.geometry);
-    Material m = materials[group.material];
+    Material m = material_row(group.material);
     if (group.any_hit == ANY_HIT_MASK && base_color_at(group.material, hit).a < m.alpha_cutoff) discard;
 #endif
 }

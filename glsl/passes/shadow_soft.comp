@@ -13,12 +13,12 @@ const uint SHADOW_SEQUENCE = 0x5AD0u;
 
 vec4 disc_rays_from(Point from, Surface s, LightSample l, uint light, ivec2 px, uint first, uint end) {
     uvec2 start = sequence_start(px, SHADOW_SEQUENCE + light, frame.seed);
-    float size = lights[light].kind == LIGHT_DIRECTIONAL ? lights[light].size : lights[light].size / l.distance;
+    float size = light_row(light).kind == LIGHT_DIRECTIONAL ? light_row(light).size : light_row(light).size / l.distance;
     vec3 sum = vec3(0.0);
     float weights = 0.0, width = 0.0, blocked = 0.0;
     for (uint i = first; i < end; i++) {
         float cos_axis, distance = INFINITY;
-        LightSample to = toward_disc(l, lights[light], sequence_point(start, frame.number * uint(rays) + i), cos_axis);
+        LightSample to = toward_disc(l, light_row(light), sequence_point(start, frame.number * uint(rays) + i), cos_axis);
         // Lobes of base and coat share one visibility; where the light is behind one normal the other weighs.
         float NoL = max(dot(s.bsdf.n, to.dir), CLEARCOAT ? dot(s.bsdf.n_coat, to.dir) : 0.0) / cos_axis;
         if (NoL <= 0.0) continue;
@@ -44,12 +44,12 @@ void main() {
         from = shadow_point(p, s);
     }
     for (uint i = frame.light_first; i < frame.light_end; i++) {
-        bool disc = lights[i].size > 0.0;
+        bool disc = light_row(i).size > 0.0;
         uint first = uint(ray_first), end = disc ? uint(ray_end) : 1u;
         if (first >= end) continue;
         vec4 result = vec4(0.0, 0.0, 0.0, -1.0);                           // -1: no ray, nothing to filter
         if (covered(p)) {
-            LightSample l = light_at(lights[i], s.point.position);
+            LightSample l = light_at(light_row(i), s.point.position);
             if (arrives(l) && faces(s, l.dir)) {
                 if (disc) result = disc_rays_from(from, s, l, i, px, first, end);
                 else result = vec4(any_hit(Ray(shadow_origin(from, l.dir), 0.0, l.dir, l.distance)), 0.0);

@@ -21,7 +21,7 @@ vec3 shade_found(Hit hit, Ray ray, float width, bool seen, ivec2 px) {
     uint lit = 0u;
     Point p = point_at(hit, ray);
     for (uint i = 0u; i < frame.light_count; i++) {
-        LightSample l = light_at(lights[i], p.position);
+        LightSample l = light_at(light_row(i), p.position);
         float arriving = 0.0;
         if (seen) arriving = texelFetch(visibility, ivec3(px, i), 0).r;
         else if (MIRROR_RAYS && arrives(l) && dot(p.n_geo, l.dir) > 0.0) arriving = visibility_of(p, l, i).x;
@@ -34,7 +34,7 @@ vec3 shade_found(Hit hit, Ray ray, float width, bool seen, ivec2 px) {
     if (s.unlit) return s.emissive;
     vec3 sum = s.emissive;
     for (uint i = 0u; i < frame.light_count; i++) {
-        LightSample l = light_at(lights[i], s.point.position);
+        LightSample l = light_at(light_row(i), s.point.position);
         if (!arrives(l) || !faces(s, l.dir)) continue;
         vec3 light = bsdf_eval(s.bsdf, v, l.dir) * l.irradiance;
 #if USE_VISIBILITY

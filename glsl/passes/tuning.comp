@@ -21,7 +21,7 @@ void main() {
         float r = sqrt(xi.x), phi = 2.0 * PI * xi.y;
         vec3 dir = basis(p.n_geo) * vec3(r * cos(phi), r * sin(phi), sqrt(1.0 - xi.x));
         hit = closest_hit(Ray(ray_origin(p, dir), 0.0, dir, INFINITY));
-        LightSample l = light_at(lights[0], p.position);
+        LightSample l = light_at(light_row(0), p.position);
         arrives = any_hit(Ray(ray_origin(p, l.dir), 0.0, l.dir, l.distance)).x;
     }
     imageStore(out_id, px, uvec4(triangle ^ hit.triangle, floatBitsToUint(arrives), 0u, 0u));

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from glhybrid import layout
+from glhybrid.gl import BufferTexture
 
 if TYPE_CHECKING:
     from glhybrid.context import Context
@@ -47,8 +48,8 @@ def bits_of(kind: str, expression: str) -> list[str]:
     return [cast.format(part) for part in parts]
 
 
-@pytest.mark.parametrize("name", layout.STRUCTS)
-def test_every_field_arrives(context: "Context", name: str) -> None:
+def elements(name: str) -> tuple[np.ndarray, np.ndarray]:
+    """ELEMENTS rows of a struct, and the bits of their fields in order."""
     rows = layout.STRUCTS[name]
     kind_of = layout.dtype(name)
     assert kind_of.names == tuple(field for _, field, _ in rows)
@@ -61,26 +62,60 @@ def test_every_field_arrives(context: "Context", name: str) -> None:
             shape = data[field].shape[1:]
             whole = kind.startswith(("u", "i"))
             data[field][element] = rng.integers(0, 2**31 - 1, shape) if whole else rng.normal(size=shape)
-            written = data[field][element].reshape(-1) if shape else data[field][element : element + 1]
+            written = np.ravel(data[field][element]) if shape else data[field][element : element + 1]
             if kind == "mat4x3":  # four columns, of which the fourth row is padding
                 written = data[field][element][:, :3].reshape(-1)
             wanted.append(np.ascontiguousarray(written).view(np.uint32))
-    expected = np.concatenate(wanted)
-    values = [bit for e in range(ELEMENTS) for kind, field, _ in rows for bit in bits_of(kind, f"given[{e}].{field}")]
-    assert len(values) == len(expected)
+    return data, np.concatenate(wanted)
+
+
+def copying(name: str, given: str, declared: str) -> tuple[str, int]:
+    """A shader that copies every field of the elements; `given` with an index says where they are. And how many words."""
+    values = [
+        bit for e in range(ELEMENTS) for kind, field, _ in layout.STRUCTS[name]
+        for bit in bits_of(kind, f"{given.format(e)}.{field}")
+    ]  # fmt: skip
     body = "\n".join(f"    copied[{i}] = {value};" for i, value in enumerate(values))
     text = f"""
 layout(local_size_x = 1) in;
-layout(std430) readonly buffer In {{ {name} given[]; }};
+{declared}
 layout(std430) writeonly buffer Out {{ uint copied[]; }};
 void main() {{
 {body}
 }}
 """
-    got = run(context, text, len(values), In=data)
-    fields = [f"{field} of element {e}" for e in range(ELEMENTS) for k, field, _ in rows for _ in bits_of(k, "")]
+    return text, len(values)
+
+
+def compare(name: str, got: np.ndarray, expected: np.ndarray) -> None:
+    fields = [
+        f"{f} of element {e}" for e in range(ELEMENTS) for k, f, _ in layout.STRUCTS[name] for _ in bits_of(k, "")
+    ]
     wrong = [fields[i] for i in np.flatnonzero(got != expected)]
     assert not wrong, f"{name}: {wrong}"
+
+
+@pytest.mark.parametrize("name", layout.STRUCTS)
+def test_every_field_arrives(context: "Context", name: str) -> None:
+    data, expected = elements(name)
+    text, count = copying(name, "given[{}]", f"layout(std430) readonly buffer In {{ {name} given[]; }};")
+    assert count == len(expected)
+    compare(name, run(context, text, count, In=data), expected)
+
+
+@pytest.mark.parametrize("name", layout.TABLES)
+def test_every_field_arrives_through_texels(context: "Context", name: str) -> None:
+    data, expected = elements(name)
+    declared = "uniform usamplerBuffer table;\n" + layout.glsl_readers()
+    text, count = copying(name, f"read_{name}(table, {{}}u)", declared)
+    buffer = context.gl.buffer(data)
+    view = BufferTexture(context.raw, buffer)
+    view.bind(0)
+    try:
+        compare(name, run(context, text, count), expected)
+    finally:
+        view.release()
+        buffer.release()
 
 
 def test_matrices_are_written_as_columns(context: "Context") -> None:
