@@ -77,8 +77,7 @@ class Passes:
         elif features.reflections:
             self.reflect = Reflect(shaders, scene, features, plan.split)
 
-        noisy = features.denoise or features.denoise_shadows
-        self.denoise = Denoise(shaders, scene, features, settings) if noisy else None
+        self.denoise = Denoise(shaders, scene, features, settings) if features.filtered else None
         composed = settings.reflections != "reference" or not len(scene.geometry.meshes)
         self.composite = Composite(shaders, scene, features) if composed else None
 
@@ -114,7 +113,7 @@ class Passes:
         elif reflect is not None:
             indirect |= timed(reflect.name, lambda: reflect.run(targets, ids))
         if denoise is not None:
-            timed(denoise.name, lambda: denoise.reflections(targets, indirect))
+            timed(denoise.name, lambda: denoise.indirect(targets, indirect))
         return visibility, indirect
 
     @property

@@ -53,6 +53,7 @@ class Features:
     glossy_coat: bool = False  # of the clearcoat, in passes/glossy.comp
     denoise: bool = False  # and their noise is filtered
     denoise_shadows: bool = False  # as that of penumbras is
+    denoise_occlusion: bool = False  # and that of rays to the sky
     denoise_signal: int = 0  # which, in passes/denoise_*.comp
     denoise_last: bool = False  # the last step of a filter
     emitters: bool = False  # reference: something shines
@@ -81,6 +82,11 @@ class Features:
         }
 
     replace = replace
+
+    @property
+    def filtered(self) -> bool:
+        """Whether some image is noisy, and its noise is filtered."""
+        return self.denoise or self.denoise_shadows or self.denoise_occlusion
 
 
 @dataclass(frozen=True)
@@ -188,6 +194,7 @@ def find(scene: Scene, settings: Settings) -> Needs:
         and any(reflective(m, cutoff) and not exact_mirror(m) for m in materials),
         denoise=glossy and rough and settings.parameter("reflections.ray-glossy.denoise"),
         denoise_shadows=visibility and light_discs and settings.parameter("shadows.ray-soft.denoise"),
+        denoise_occlusion=occlusion and settings.ao == "ray" and settings.parameter("ao.ray.denoise"),
         emitters=reference and any(max(m.emissive) > 0 for m in materials),
         lightmap=lightmap,
         terminator=visibility and settings.terminator and not (shadow_maps or lightmap),

@@ -101,7 +101,7 @@ def make(
         occlusion = {"ssao": "ssao", "ray": "ray_ao"}.get(settings.ao, "")
         passes += [shadow] * features.visibility + [occlusion] * features.occlusion
         passes += _mirror_passes(features, settings)
-        passes += ["denoise"] * (features.denoise or features.denoise_shadows) + ["composite"]
+        passes += ["denoise"] * features.filtered + ["composite"]
     passes.append("display")
     return Plan(features, levels, trees, primary, split, tuple(passes), tuple(reasons), tuple(skipped))
 

@@ -39,7 +39,7 @@ LIT_AHEAD = {"baked", "probe"}  # techniques that hold light from when they were
 UNUSED_STACK = 4  # entries, for programs that hold the code of rays and send none
 OF_SURFACES = (
     "occlusion", "reflections", "mirror_rays", "march", "glossy", "probes", "probes_blurred", "denoise",
-    "denoise_shadows", "visibility", "shadow_maps", "shadow_rays", "shadow_bits", "lightmap",
+    "denoise_shadows", "denoise_occlusion", "visibility", "shadow_maps", "shadow_rays", "shadow_bits", "lightmap",
 )  # features that a scene without any does not need  # fmt: skip
 # AOVs that passes make as they go: the image, its first channel and how many, and the value where no pass runs.
 OF_PASSES = {
@@ -144,7 +144,7 @@ class Staged:
         features, upload = self.plan.features, self.upload
         if not upload.geometry.meshes:
             features = features.replace(**dict.fromkeys(OF_SURFACES, False))
-        if moving is not None and ("motion" in self.aovs or features.denoise or features.denoise_shadows):
+        if moving is not None and ("motion" in self.aovs or features.filtered):
             upload.keep_previous(vertices=bool(moving.deformers))
             features = features.replace(moving=True, deforming=bool(moving.deformers))
         return features.replace(
@@ -350,6 +350,8 @@ class Staged:
             return outputs.layers(self.targets.get(shadow.channel))
         if self.probe is not None and name != "occlusion":
             self.probe.run(self.targets, self._ids)
+        if name == "occlusion" and self.passes.occlusion is not None:
+            image = self.passes.occlusion.channel
         return outputs.texels(self.targets.get(image), first, count)
 
     def release(self, keep_upload: bool = False) -> None:

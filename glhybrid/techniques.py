@@ -280,7 +280,7 @@ _ALL = (
         implemented=True,
         stochastic=True,
         traced=True,
-        parameters=(_RADIUS, Parameter("samples", 4, "rays a pixel", 1, 4096)),
+        parameters=(_RADIUS, Parameter("samples", 4, "rays a pixel", 1, 4096), *_FILTER),
     ),
 )
 

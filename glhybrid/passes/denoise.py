@@ -1,4 +1,4 @@
-"""Filters noisy images over time and space: soft shadows light by light, glossy reflections lobe by lobe.
+"""Filters noisy images over time and space: soft shadows light by light, the open sky, glossy reflections lobe by lobe.
 
 One guide a frame (normals, depths, ids, roughness); then for each signal one dispatch that gathers what earlier frames
 know, one that finds how bright it is about each pixel, and a few of a wavelet filter that compares pixels by that.
@@ -19,8 +19,8 @@ from glhybrid.settings import Settings
 from glhybrid.shaders import Shaders
 from glhybrid.targets import Targets
 
-SIGNALS = {"reflection": 1, "reflection_coat": 2, "visibility": 3}  # as in lib/denoise.glsl
-KEYS = {"reflections": "reflections.ray-glossy", "shadows": "shadows.ray-soft"}
+SIGNALS = {"reflection": 1, "reflection_coat": 2, "visibility": 3, "occlusion": 4}  # as in lib/denoise.glsl
+KEYS = {"visibility": "shadows.ray-soft", "occlusion": "ao.ray"}  # of others: reflections.ray-glossy
 
 
 class Denoise:
@@ -31,7 +31,7 @@ class Denoise:
     def __init__(self, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings) -> None:
         self._scene, self._features, self._settings = scene, features, settings
         self._guide = shaders.compute("denoise_guide", features)
-        wanted = ["visibility"] * features.denoise_shadows
+        wanted = ["visibility"] * features.denoise_shadows + ["occlusion"] * features.denoise_occlusion
         if features.denoise:
             wanted += ["reflection"] + ["reflection_coat"] * features.clearcoat
         self._programs = {}
@@ -59,16 +59,17 @@ class Denoise:
         for light in self._sized if "visibility" in self._programs else ():
             self._filter(targets, "visibility", image, {"layer": light})
 
-    def reflections(self, targets: Targets, images: dict[str, Any]) -> None:
-        """Filters every lobe's image, in place."""
-        for lobe in images.keys() & self._programs.keys():
-            self._filter(targets, lobe, images[lobe], {"noise": targets.get(f"{lobe}_noise")})
+    def indirect(self, targets: Targets, images: dict[str, Any]) -> None:
+        """Filters the open share of the sky and every lobe's image, in place."""
+        for signal in images.keys() & self._programs.keys():
+            noise = {} if signal == "occlusion" else {"noise": targets.get(f"{signal}_noise")}
+            self._filter(targets, signal, images[signal], noise)
 
     def _now(self, name: str, before: bool = False) -> str:
         return f"{name}_odd" if self._odd != before else f"{name}_even"
 
     def _parameter(self, signal: str, name: str) -> Any:
-        return self._settings.parameter(f"{KEYS['shadows' if signal == 'visibility' else 'reflections']}.{name}")
+        return self._settings.parameter(f"{KEYS.get(signal, 'reflections.ray-glossy')}.{name}")
 
     def _filter(self, targets: Targets, signal: str, image: Any, more: dict[str, Any]) -> None:
         layers = len(self._scene.lights) if signal == "visibility" else 0

@@ -17,12 +17,13 @@ class RayAo:
     def __init__(self, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings) -> None:
         self._program = shaders.compute("ray_ao", features)
         self._scene = scene
+        self.channel = "occlusion_rays" if features.denoise_occlusion else "occlusion"
         self._rays = settings.parameter("ao.ray.samples")
         self._radius = settings.parameter("ao.ray.radius")
 
     def run(self, targets: Targets, ids: Any) -> Any:
-        """Returns `occlusion` of layout.py."""
-        occlusion = targets.get("occlusion")
+        """Returns the image of `channel`."""
+        occlusion = targets.get(self.channel)
         resources = {**self._scene.resources, "gbuffer_id": ids, "out_occlusion": occlusion}
         resources |= {"rays": self._rays, "ao_radius": self._radius}
         for first in range(0, self._rays, RAYS_AT_ONCE):

@@ -15,6 +15,7 @@ from glhybrid.targets import Targets
 
 class Ssao:
     name = "ssao"
+    channel = "occlusion"
 
     def __init__(self, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings) -> None:
         self._planes = shaders.compute("screen_plane", features)

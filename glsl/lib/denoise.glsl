@@ -5,8 +5,8 @@
 
 uniform usampler2D guide;    // octahedral normal; depth along the view axis; row of records; roughness of base and coat
 
-const int SIGNAL_COAT = 2, SIGNAL_VISIBILITY = 3;
-const bool IS_VISIBILITY = USE_DENOISE_SIGNAL == SIGNAL_VISIBILITY;
+const int SIGNAL_COAT = 2, SIGNAL_VISIBILITY = 3, SIGNAL_OCCLUSION = 4;
+const bool IS_VISIBILITY = USE_DENOISE_SIGNAL >= SIGNAL_VISIBILITY;    // of a light's disc, or of the sky
 
 #if USE_DENOISE_SIGNAL == 3
 #define SIGNAL_SAMPLER sampler2DArray

@@ -7,7 +7,7 @@
 #include "lib/tile.glsl"
 
 uniform SIGNAL_SAMPLER signal;           // mean of this frame's samples; a: distance or half width, see below
-#if USE_DENOISE_SIGNAL != 3
+#if USE_DENOISE_SIGNAL < 3
 uniform sampler2D noise;                 // mean square over squared mean, samples
 #endif
 uniform SIGNAL_SAMPLER history;          // mean; a: length over which the truth changes, m
@@ -29,7 +29,7 @@ struct Near { float mean, variance, extent, distance, worth; };
 bool has_signal(vec4 s) { return IS_VISIBILITY ? s.a >= 0.0 : s.a > 0.0; }
 
 vec2 noise_of(ivec2 px, vec4 s) {
-#if USE_DENOISE_SIGNAL == 3
+#if USE_DENOISE_SIGNAL >= 3
     float m = luminance(s.rgb);
     return vec2(m > 0.0 ? 1.0 / m : 0.0, samples);                         // of zeros and ones the mean square is the mean
 #else
@@ -73,6 +73,11 @@ Near look_around(ivec2 px, Guide g) {
     near.mean = sum / weight;
     near.variance = max(squares / weight - square(near.mean), 0.0);
     if (several > 0.5 * weight && !IS_VISIBILITY) near.variance = within / several;
+    // Where all rays got through, the next one might not: Jeffreys' half of a ray to either side.
+    if (USE_DENOISE_SIGNAL == SIGNAL_OCCLUSION) {
+        float asked = samples * near.worth, open = (near.mean * asked + 0.5) / (asked + 1.0);
+        near.variance = max(near.variance, open * (1.0 - open));
+    }
     near.extent = nearness > 0.0 ? known / nearness : 0.0;
     near.distance = min(weight / max(inverse, 1e-30), 1e15);
     return near;
@@ -113,7 +118,7 @@ Past look_back(ivec2 px, Guide g, Near near) {
 #endif
     float depth = dot(frame.previous_depth, vec4(was, 1.0));
     vec2 at = pixel_before(was);
-#if USE_DENOISE_SIGNAL != 3
+#if USE_DENOISE_SIGNAL < 3
     vec3 v = frame.orthographic == 1u ? -frame.forward_ws : normalize(frame.eye_ws - g.position);
     // The point that a mirror would show, behind the surface; the sky's is so far that it stands still.
     float share = mirror_share(g.roughness, clamp(dot(g.n, v), 0.0, 1.0));

@@ -236,8 +236,12 @@ def test_no_noise_no_filter(renderer: gh.Renderer) -> None:
         assert not filtered(
             Ran(fresh, scene(lights=wide), shadows="ray-soft", parameters={"shadows.ray-soft.denoise": False})
         )
+        assert not filtered(Ran(fresh, scene(), ao="ray", parameters={"ao.ray.denoise": False}))
+        assert not filtered(Ran(fresh, scene(), ao="ssao")) and not filtered(Ran(fresh, scene(sky=None), ao="ray"))
+    open_sky = Ran(renderer, scene(), ao="ray")
+    assert filtered(open_sky) and not any("reflection" in i or "visibility_" in i for i in open_sky.images)
     soft = Ran(renderer, scene(lights=wide), shadows="ray-soft")
-    assert filtered(soft) and not any("reflection" in i for i in soft.images)
+    assert filtered(soft) and not any("reflection" in i or "occlusion" in i for i in soft.images)
     both = Ran(renderer, scene(rough, lights=wide), shadows="ray-soft", **glossy())
     assert filtered(both) and {"reflection_history_odd", "visibility_history_odd"} <= both.images
     assert not any("coat" in i for i in both.images) and "denoise_moved" not in both.images
