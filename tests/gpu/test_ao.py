@@ -124,11 +124,11 @@ def test_the_filter_among_edges_and_over_frames(renderer: gh.Renderer, context: 
     def error(frame: Frame) -> float:
         return float(np.abs(frame["occlusion"] - truth).mean())
 
-    for samples, share in ((1, 0.13), (4, 0.22), (64, 0.6)):
+    for samples, share in ((1, 0.13), (4, 0.22), (16, 0.4)):
         raw, got = (error(seen(renderer, scene, camera, "ray", samples=samples, denoise=k)) for k in (False, True))
         say(f"{samples} rays: mae {raw:.4f}, filtered {got:.4f}")
         assert got < share * raw
-    assert error(seen(renderer, scene, camera, "ray", samples=256)) < 0.003
+    assert error(seen(renderer, scene, camera, "ray", samples=256)) < 0.005  # of which 0.003 is in `truth`
     settings = gh.Settings(aa=1, exposure=0.0, ao="ray", shadows="none", reflections="none")
 
     def film(world: Scene, shown: Camera, count: int) -> list[Any]:
