@@ -15,6 +15,7 @@ from typing import IO, Any
 
 from glhybrid.errors import GlhybridError
 from glhybrid.image import Frame
+from glhybrid.scene import F32
 from glhybrid.study.measure import Truth, compared
 
 MOST = 6  # processes: each holds the truth, and a picture
@@ -33,13 +34,13 @@ class Comparing:
             self._free.put(process)
         self._threads = ThreadPoolExecutor(processes) if processes else None
 
-    def submit(self, frame: Frame, folder: Path, stem: str) -> "Future[dict[str, Any]]":
+    def submit(self, frame: Frame, folder: Path, stem: str, at_rest: F32 | None = None) -> "Future[dict[str, Any]]":
         """`compared` of the frame, now or later."""
         if self._threads is None:
             done: Future[dict[str, Any]] = Future()
-            done.set_result(compared(frame, self._truth, folder, stem))
+            done.set_result(compared(frame, self._truth, folder, stem, at_rest))
             return done
-        job = Frame(frame.rgb, {name: frame[name] for name in ("radiance", "visibility")}), folder, stem
+        job = Frame(frame.rgb, {name: frame[name] for name in ("radiance", "visibility")}), folder, stem, at_rest
         return self._threads.submit(self._ask, job)
 
     def _ask(self, job: Any) -> dict[str, Any]:

@@ -1,16 +1,19 @@
 """One cell: its picture, its time and its figures."""
 
 import time
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from glhybrid import outputs
 from glhybrid.bench.clock import WARM_UP_S
 from glhybrid.bench.frames import steady_frame
 from glhybrid.bvh.blas import threads_available
 from glhybrid.image import Frame
+from glhybrid.readback import at_once
 from glhybrid.renderer import Renderer
 from glhybrid.scene import F32, Camera, Scene
 from glhybrid.settings import Settings
@@ -20,6 +23,7 @@ from glhybrid.study.sweep import Cell
 from glhybrid.timing import Timing
 
 AOVS = ("visibility",)
+REST = 17  # frames at rest: 16 of history
 NOT_TRACED = {"skin", "refit", "gbuffer", "composite", "display"}  # passes that every technique has in common
 
 
@@ -93,9 +97,28 @@ class Truth:
     specular: F32
 
 
-def compared(frame: Frame, truth: Truth, folder: Path, stem: str) -> dict[str, Any]:
-    """Errors of a picture, and the names of its images once they are written."""
+def film(
+    renderer: Renderer, scene: Scene, camera: int | Camera, size: tuple[int, int], settings: Settings,
+    times: Sequence[float | None],
+) -> Iterator[F32]:  # fmt: skip
+    """(H, W, 3) radiance of frames in a row, a clip's seconds each: temporal filters go on from one to the next. Each
+    is read when it is asked for."""
+    staged = renderer.stage(scene, settings.replace(time=times[0]), size)
+    staged.cut()
+    timing = Timing(renderer.context.gl.finish, enabled=False)
+    for at in times:
+        staged.aim(settings.replace(time=at), camera)
+        staged.set(jitter_px=(0, 0), accumulate=0)
+        yield at_once(outputs.texels(staged.frame(timing), 0, 3))
+
+
+def compared(frame: Frame, truth: Truth, folder: Path, stem: str, at_rest: F32 | None = None) -> dict[str, Any]:
+    """Errors of a picture, and the names of its images once they are written. at_rest: radiance of a later frame of the
+    same, for what temporal filters make of it."""
     row, flip = figures(frame, truth)
+    later = None if at_rest is None else picture.flip_map(at_rest, truth.radiance)
+    row["flip_at_rest"] = None if later is None else float(later.mean())
+    row["flip_reflection_at_rest"] = None if later is None else picture.weighted_mean(later, truth.specular)
     return row | {"images": save_images(folder, stem, frame, flip)}
 
 

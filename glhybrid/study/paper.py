@@ -77,7 +77,10 @@ def _is(row: dict[str, Any], method: dict[str, str]) -> bool:
 
 
 def _figures(row: dict[str, Any], clock: str) -> dict[str, Any]:
-    names = ("label", "flip", "flip_reflection", "flip_shadow", "rel_mse", "bias_percent")
+    names = (
+        "label", "flip", "flip_at_rest", "flip_reflection", "flip_reflection_at_rest", "flip_shadow", "rel_mse",
+        "bias_percent",
+    )  # fmt: skip
     return {name: row[name] for name in names} | {"ms": row[clock], "frames_per_second": 1e3 / row[clock]}
 
 

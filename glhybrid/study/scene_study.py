@@ -18,6 +18,7 @@ from glhybrid.renderer import Renderer
 from glhybrid.scene import Camera, Scene
 from glhybrid.settings import Settings
 from glhybrid.study import direct, measure, reflected, results, stability, store, sweep
+from glhybrid.study import paper as papers
 from glhybrid.study import reference as references
 from glhybrid.study.comparing import MOST, Comparing
 from glhybrid.study.develop import develop
@@ -220,8 +221,13 @@ class SceneStudy:
         if self._comparing is None:
             truth = Truth(self.reference.radiance, self._light(), measure.specular_share(*args))
             self._comparing = Comparing(truth, self._processes)
-        frame = measure.draw(*args, settings)
-        errors = self._comparing.submit(frame, self.folder, stem)
+        frame, at_rest = measure.draw(*args, settings), None
+        if cell.stochastic and (not cell.parameters or papers.AXIS in self.axes):
+            for radiance in measure.film(
+                self.renderer, self.scene, self.camera, self.spent.size, settings, [None] * measure.REST
+            ):
+                at_rest = radiance
+        errors = self._comparing.submit(frame, self.folder, stem, at_rest)
         times = measure.time_frames(*args, settings, self.spent.clock)
         width, height = self.spent.size
         moving = None

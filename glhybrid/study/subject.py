@@ -12,14 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from glhybrid import outputs
 from glhybrid.image import NO_ID, Frame
-from glhybrid.readback import at_once
 from glhybrid.renderer import Renderer
 from glhybrid.scene import F32, F64, Camera, Scene, Study
 from glhybrid.settings import Settings
+from glhybrid.study import measure
 from glhybrid.study.oracle import I64, Oracle, Seen
-from glhybrid.timing import Timing
 
 Picture = NDArray[np.uint8]
 WRONG = np.array([255, 0, 90], np.uint8)  # pixels that a measure counts, in pictures
@@ -92,16 +90,8 @@ class Subject:
 
     def film(self, times: Sequence[float | None], scene: Scene | None = None) -> list[F32]:
         """(H, W, 3) radiance of frames in a row, a clip's seconds each: filters go on from one to the next."""
-        scene, size = scene or self.case.scene, self.case.study.size
-        staged = self.renderer.stage(scene, self.settings.replace(time=times[0]), size)
-        staged.cut()
-        timing = Timing(self.renderer.context.gl.finish, enabled=False)
-        frames = []
-        for time in times:
-            staged.aim(self.settings.replace(time=time), 0)
-            staged.set(jitter_px=(0, 0), accumulate=0)
-            frames.append(at_once(outputs.texels(staged.frame(timing), 0, 3)))
-        return frames
+        shown = measure.film(self.renderer, scene or self.case.scene, 0, self.case.study.size, self.settings, times)
+        return list(shown)
 
     def reference(self, camera: int = 0, samples: int = 256, **changes: Any) -> NDArray[np.float32]:
         """(H, W, 3) radiance of the path tracer, made once a case. Without jitter, as pictures here."""

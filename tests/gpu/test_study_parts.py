@@ -83,7 +83,18 @@ def test_the_ladder_shows_the_papers_bias(
 
 def test_table_1() -> None:
     def row(shadows: str, reflections: str, ms: float) -> dict[str, Any]:
-        figures = dict.fromkeys(("flip", "flip_reflection", "flip_shadow", "rel_mse", "bias_percent"), 0.1)
+        figures = dict.fromkeys(
+            (
+                "flip",
+                "flip_at_rest",
+                "flip_reflection",
+                "flip_reflection_at_rest",
+                "flip_shadow",
+                "rel_mse",
+                "bias_percent",
+            ),
+            0.1,
+        )
         return {
             "scene": "a", "shadows": shadows, "reflections": reflections, "axes": ["paper"], "label": "", "ms": ms,
             "parameters": {"x": 4}, **figures,

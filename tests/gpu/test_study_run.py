@@ -77,6 +77,8 @@ def test_a_study_end_to_end_and_again(tmp_path: Path, monkeypatch: pytest.Monkey
     ray, depth = by["ray", "ray-lerp", False], by["map", "ray-lerp", False]
     assert ray["wrong_shadow_percent"] == 0 and ray["flip_shadow"] == 0, "a hard sun: rays are the truth"
     assert depth["wrong_shadow_percent"] > 0 and depth["flip_shadow"] > 0
+    for row in results["rows"]:
+        assert (row["flip_at_rest"] is not None) == (row["ao"] == "ray" and not row["parameters"]), "random rays"
     assert ray["flip_rate_percent"] == 0 and ray["flicker"] < 0.05
     assert by["ray", "env", False]["flip_reflection"] > ray["flip_reflection"], "env reflects what is not there"
     assert ray["trace_ms"] < ray["frame_ms"] * 2 and set(ray["passes"]) >= {"gbuffer", "shadow", "reflect", "composite"}

@@ -125,7 +125,7 @@ def _findings(study: "Study") -> str:
             continue
         says = "; ".join(f"under {' and '.join(f'{b:g}' for b in bars)}: {label}" for label, bars in found.items())
         lines.append(f"<li><a href='#{_id(name)}'>{escape(name)}</a>: {says}.</li>")
-    return f"<h3>The cheapest picture with a FLIP</h3><ul>{''.join(lines)}</ul>" if lines else ""
+    return f"<h3>The cheapest picture under a given error</h3><ul>{''.join(lines)}</ul>" if lines else ""
 
 
 def _scene(study: "Study", name: str, output: Path, files: dict[str, str]) -> str:
@@ -135,7 +135,7 @@ def _scene(study: "Study", name: str, output: Path, files: dict[str, str]) -> st
     reached = "" if reference["complete"] else ", stopped by its limit of time or paths"
     parts = [
         f'<section id="{_id(name)}"><h2>{escape(name)}</h2>',
-        f'<p class="soft">{about["triangles"]:,} triangles drawn, {about["lights"]} lights, {w} × {h} pixels, camera '
+        f'<p class="soft">{about["triangles"]:,} triangles drawn, {_count(about["lights"], "light")}, {w} × {h} pixels, camera '
         f"“{escape(about['camera'])}”. The reference has {reference['samples']:,} paths a pixel of up to "
         f"{reference['bounces']} bounces ({_duration(reference['seconds'])}{reached}); its own noise is "
         f"FLIP {shown(reference['noise_flip'])}, relative MSE {shown(reference['noise_rel_mse'])}: smaller errors "
@@ -150,7 +150,13 @@ def _scene(study: "Study", name: str, output: Path, files: dict[str, str]) -> st
             files[f"{name}-{axis or 'picture'}"] = svg
             only = "" if axis else ' class="only"'
             parts.append(f'<figure{only}><div class="wide">{svg}</div><figcaption>{caption}</figcaption></figure>')
-    parts += ["</div>", _compare(name, rows), _table(rows, clock), _strip(name, about, rows, output), "</section>"]
+    parts += [
+        "</div>",
+        _compare(name, rows),
+        tables.cells(rows, clock),
+        _strip(name, about, rows, output),
+        "</section>",
+    ]
     return "".join(parts)
 
 
@@ -192,66 +198,6 @@ def _chart(name: str, axis: str, rows: Sequence[Row], clock: str, reference: Row
             "<b>The whole picture.</b> Everything measured; the line joins what nothing beats in both time and error."
         )
     return svg, caption
-
-
-COLUMNS: tuple[tuple[str, str, str], ...] = (
-    ("frame_ms", "frame<br>ms", "median, from finish to finish"),
-    ("frame_cpu_ms", "CPU<br>ms", "processor time over threads"),
-    ("trace_ms", "its passes<br>ms", "passes that this technique brings"),
-    ("bytes", "memory<br>MiB", "images and buffers on the device"),
-    ("flip", "FLIP", "HDR-FLIP, mean"),
-    ("flip_shadow", "FLIP,<br>direct light", "of the direct light alone"),
-    ("flip_reflection", "FLIP,<br>specular", "weighted by specular share"),
-    ("rel_mse", "relative<br>MSE", ""),
-    ("psnr", "PSNR<br>dB", ""),
-    ("ssim", "SSIM", ""),
-    ("bias_percent", "bias<br>%", "of mean luminance"),
-    ("wrong_shadow_percent", "wrong<br>shadow %", "of pixels that face a light"),
-    ("wrong_shadow_outside_percent", "outside<br>edges %", "outside the one-pixel band of the true edge"),
-    ("wrong_shadow_inside_percent", "inside<br>edges %", "inside that band"),
-    ("right_object_percent", "right<br>object %", "of smooth pixels whose mirror image shows the object that is there"),
-    (
-        "right_point_percent",
-        "right<br>point %",
-        "of smooth pixels that show the very point: within half a pixel and 2 % of its way",
-    ),
-    (
-        "reflected_error_px",
-        "point<br>off by px",
-        "median distance on the picture to the true point, where the object is right",
-    ),
-    ("reflected_error_px_p95", "of 95 %,<br>px", "95 % of those are nearer"),
-    ("flicker", "flicker", "mean change of a world point under a pan by one pixel, over mean luminance"),
-    ("flip_rate_percent", "shadow<br>flips %", "points whose shadow changes sides, a frame of that pan"),
-)
-
-
-def _table(rows: Sequence[Row], clock: str) -> str:
-    columns = [c for c in COLUMNS if any(row.get(c[0]) is not None for row in rows)]
-    if clock == "frame_ms":
-        columns = [c for c in columns if c[0] != "frame_cpu_ms"]
-    head = "".join(f'<th title="{escape(tip, quote=True)}"><button>{text}</button></th>' for _, text, tip in columns)
-    body = []
-    for row in sorted(rows, key=lambda r: r[clock]):
-        cells = "".join(_cell(row, key) for key, _, _ in columns)
-        front = ' class="front"' if row["pareto"] else ""
-        body.append(f"<tr{front}><td>{escape(row['label'])}</td>{cells}</tr>")
-    return (
-        "<h3>All figures</h3><p class='soft'>A dot: on the front of the whole picture. A head sorts.</p>"
-        f'<div class="wide"><table class="sortable"><thead><tr><th><button>technique</button></th>{head}</tr></thead>'
-        f"<tbody>{''.join(body)}</tbody></table></div>"
-    )
-
-
-def _cell(row: Row, key: str) -> str:
-    value = row.get(key)
-    if value is None:
-        return '<td data-value=""></td>'
-    if key == "bytes":
-        value = value / 2**20
-    spread = row.get("frame_ms_spread") if key == "frame_ms" else None
-    extra = f" title='± {100 * spread:.0f} %'" if spread is not None else ""
-    return f'<td data-value="{value:.9g}"{extra}>{shown(float(value))}</td>'
 
 
 def _pictured(rows: Sequence[Row]) -> list[Row]:
@@ -463,6 +409,10 @@ def _duration(seconds: float) -> str:
     from glhybrid.study.progress import spoken
 
     return spoken(seconds)
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" + ("" if number == 1 else "s")
 
 
 def _id(name: str) -> str:
