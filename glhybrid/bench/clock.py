@@ -72,6 +72,30 @@ def on_cpu(works: Mapping[K, Work], repeats: int, finish: Work = lambda: None) -
     return samples
 
 
+def warm_up(context: Context, work: Work, seconds: float = WARM_UP_S) -> None:
+    """Work without a pause until a GPU has reached its clock; once on a software rasteriser."""
+    started = time.perf_counter()
+    while True:
+        work()
+        if context.device.software or time.perf_counter() - started >= seconds:
+            break
+    context.gl.finish()
+
+
+def unpaced(context: Context, work: Work, least: int, seconds: float = 0.0, batch: int = 1) -> Sample:
+    """Warms up, then times batches of launches from finish() to finish(): at least so many launches, and so long."""
+    warm_up(context, work)
+    sample, started, finish = Sample(), time.perf_counter(), context.gl.finish
+    while len(sample.wall) * batch < least or time.perf_counter() - started < seconds:
+        wall, cpu = time.perf_counter(), time.process_time()
+        for _ in range(batch):
+            work()
+        finish()
+        sample.cpu.append((time.process_time() - cpu) / batch * 1e3)
+        sample.wall.append((time.perf_counter() - wall) / batch * 1e3)
+    return sample
+
+
 def on_gpu(context: Context, works: Mapping[K, Work], repeats: int, warm_up_s: float = WARM_UP_S) -> dict[K, Sample]:
     """Warms up with all of it, then queues `repeats` launches of each, every one between two timestamps."""
     if not works:

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from glhybrid.bench.clock import WARM_UP_S, pass_clock
+from glhybrid.bench.clock import pass_clock, unpaced
 from glhybrid.renderer import Renderer
 from glhybrid.scene import Camera, Scene
 from glhybrid.settings import Settings
@@ -73,28 +73,15 @@ def measure(renderer: Renderer, name: str, scene: Scene, size: tuple[int, int], 
     """Times `repeats` frames in each way. On a GPU after a warm-up, whole frames without a pause between them."""
     software, finish = renderer.context.device.software, renderer.context.gl.finish
     frame, off = steady_frame(renderer, scene, size, Settings()), Timing(finish, enabled=False)
-    for _ in range(2):  # the first compiles, the second may still have its variants compiled
-        frame(off)
-        finish()
-    started = time.perf_counter()
-    while not software and time.perf_counter() - started < WARM_UP_S:
-        frame(off)
+    frame(off)  # compiles; the warm-up may still compile its variants
     finish()
-    walls = []
-    batch = 1 if software else repeats
-    for _ in range(repeats // batch):
-        wall = time.perf_counter()
-        for _ in range(batch):
-            frame(off)
-        finish()
-        walls.append((time.perf_counter() - wall) / batch)
+    sample = unpaced(renderer.context, lambda: frame(off), repeats, batch=1 if software else repeats)
     timing = pass_clock(renderer.context)
     for _ in range(repeats + 1):  # the first does not count
         frame(timing)
     small, primary = (HOST_SIZE, "trace") if software else (size, "auto")
     host, moving = (1e6 * host_seconds(renderer, scene, small, primary, m) for m in (False, True))  # type: ignore[arg-type]
-    low, middle, high = np.percentile(walls, (25, 50, 75))
-    return FrameTimes(name, size, timing.medians(), middle * 1e3, host, float((high - low) / middle), moving)
+    return FrameTimes(name, size, timing.medians(), sample.median("wall"), host, sample.spread("wall"), moving)
 
 
 def host_seconds(

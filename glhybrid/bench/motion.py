@@ -19,7 +19,7 @@ import numpy as np
 from glhybrid import console
 from glhybrid import pose as posing
 from glhybrid.bench import clock, movers
-from glhybrid.bench.clock import WARM_UP_S, cores
+from glhybrid.bench.clock import cores
 from glhybrid.bench.report import machine
 from glhybrid.context import Context
 from glhybrid.deform import deformers
@@ -277,19 +277,11 @@ def read(renderer: Renderer, name: str, scene: Scene, size: tuple[int, int], fra
 
     ways: dict[str, Callable[[], None]] = {"drawn": drawn}
     ways |= {f"ring {n}": through(n) for n in (1, 2, 3)} | {"frames": framed, "single": single}
-    drawn()
-    started = time.perf_counter()
-    while not renderer.context.device.software and time.perf_counter() - started < WARM_UP_S:
-        drawn()
-    software, share = renderer.context.device.software, cores(renderer.context)
-    now: Callable[[], float] = (lambda: time.process_time() / share) if software else time.perf_counter
-    taken: dict[str, list[float]] = {way: [] for way in ways}
-    for _ in range(5):
-        for way, go in ways.items():
-            started = now()
-            go()
-            taken[way].append(now() - started)
-    rate = {way: frames / float(np.median(times)) for way, times in taken.items()}
+    clock.warm_up(renderer.context, drawn)
+    samples = clock.on_cpu(ways, 5, finish)
+    software = renderer.context.device.software
+    kind, share = ("cpu", cores(renderer.context)) if software else ("wall", 1)
+    rate = {way: 1e3 * frames * share / sample.median(kind) for way, sample in samples.items()}
     return [Read(name, size, way, value, value / rate["drawn"]) for way, value in rate.items()]
 
 

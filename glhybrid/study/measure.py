@@ -1,6 +1,5 @@
 """One cell: its picture, its time and its figures."""
 
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from glhybrid import outputs
-from glhybrid.bench.clock import WARM_UP_S
+from glhybrid.bench.clock import pass_clock, unpaced
 from glhybrid.bench.frames import steady_frame
 from glhybrid.bvh.blas import threads_available
 from glhybrid.image import Frame
@@ -39,7 +38,7 @@ class Clock:
 class Times:
     """frame_ms: median of frames that are not cut up, from finish() to finish(); cpu_ms: CPU time of the process on all
     cores over their number: on a software rasteriser, the frame on an idle machine; spread: half the distance of the
-    quartiles over the median; passes: ms by pass, each finished; trace_ms: of the passes that a technique brings."""
+    quartiles over the median; passes: ms by pass; trace_ms: of the passes that a technique brings."""
 
     frame_ms: float
     cpu_ms: float
@@ -56,30 +55,17 @@ def time_frames(
     renderer: Renderer, scene: Scene, camera: Camera, size: tuple[int, int], settings: Settings, clock: Clock
 ) -> Times:
     """Frames of a scene at rest, as a viewer would draw them. What is timed has been drawn before."""
-    software, finish = renderer.context.device.software, renderer.context.gl.finish
-    frame, off = steady_frame(renderer, scene, size, settings, camera), Timing(finish, enabled=False)
-    frame(off)
-    finish()
-    started = time.perf_counter()
-    while not software and time.perf_counter() - started < WARM_UP_S:
-        frame(off)
-    finish()
-    walls: list[float] = []
-    cpus: list[float] = []
-    batch = 1 if software else 8  # a pause after every frame lets a GPU's clock fall
-    started = time.perf_counter()
-    while len(walls) * batch < clock.frames or time.perf_counter() - started < clock.seconds:
-        begin, cpu = time.perf_counter(), time.process_time()
-        for _ in range(batch):
-            frame(off)
-        finish()
-        cpus.append((time.process_time() - cpu) / batch / threads_available())
-        walls.append((time.perf_counter() - begin) / batch)
-    passes = Timing(finish)
-    for _ in range(3):  # the first does not count
+    context, threads = renderer.context, threads_available()
+    frame, off = steady_frame(renderer, scene, size, settings, camera), Timing(context.gl.finish, enabled=False)
+    batch = 1 if context.device.software else 8  # a pause after every frame lets a GPU's clock fall
+    sample = unpaced(context, lambda: frame(off), clock.frames, clock.seconds, batch)
+    passes = pass_clock(context)
+    for _ in range(3 if context.device.software else 10):  # the first does not count
         frame(passes)
-    low, median, high = np.percentile(np.array(walls) * 1e3, (25, 50, 75)).tolist()
-    return Times(median, float(np.median(cpus)) * 1e3, (high - low) / 2 / median, len(walls) * batch, passes.medians())
+    frames = len(sample.wall) * batch
+    return Times(
+        sample.median("wall"), sample.median("cpu") / threads, sample.spread("wall") / 2, frames, passes.medians()
+    )
 
 
 def draw(renderer: Renderer, scene: Scene, camera: Camera, size: tuple[int, int], settings: Settings) -> Frame:
