@@ -61,12 +61,15 @@ class Common:
             help="Name or index of a camera of the scene, its first one by default; or eye=X,Y,Z;target=X,Y,Z;fov=45."
         ),
     ] = None
-    shadows: Annotated[str | None, Parameter(help="Shadow technique: none or ray (the default).")] = None
+    shadows: Annotated[
+        str | None, Parameter(help="none, map, pcf, pcss, csm, baked, ray (the default) or ray-soft.")
+    ] = None
     reflections: Annotated[
-        str | None, Parameter(help="Reflection technique: none, env, ray-lerp (the default) or reference.")
+        str | None,
+        Parameter(help="none, env, probe, ssr, ssr-ray, ray-lerp (the default), ray-glossy or reference (all of it)."),
     ] = None
     ao: Annotated[str | None, Parameter(help="Ambient occlusion of the sky: none (the default), ssao or ray.")] = None
-    samples: Annotated[int | None, Parameter(help="Paths or rays per pixel of stochastic techniques; 64.")] = None
+    samples: Annotated[int | None, Parameter(help="Paths per pixel of reference; 64.")] = None
     bounces: Annotated[int | None, Parameter(help="Bounces after the first hit in reference; 8.")] = None
     time: Annotated[
         float | None, Parameter(help="Seconds into the clip, held at its ends; without it nothing is animated.")
@@ -158,8 +161,15 @@ def render(
     # Everything that can be refused is refused before any work is done.
     aovs = check_aovs(name.strip() for name in aov.split(",") if name.strip())
     if frames.asked():
-        return _render_frames(scene, output or f"{_stem(scene)}_{{frame:04d}}.png", aovs, exr_float, frames, common)
-    settings, size, path = common.settings(), common.pixels(), output or f"{_stem(scene)}.png"
+        return _render_frames(
+            scene,
+            output if output is not None else f"{_stem(scene)}_{{frame:04d}}.png",
+            aovs,
+            exr_float,
+            frames,
+            common,
+        )
+    settings, size, path = common.settings(), common.pixels(), f"{_stem(scene)}.png" if output is None else output
     suffix = check_output(path, aovs)
     if path == "-" and common.json:
         raise SettingError("-o - and --json both want standard output: give the picture a file name")
@@ -324,10 +334,12 @@ def _bench_scale(
 ) -> int:  # fmt: skip
     from glhybrid.bench import scale
     from glhybrid.context import open_context
-    from glhybrid.image import replacing
+    from glhybrid.image import check_folder, replacing
 
     if svg is not None and Path(svg).suffix.lower() != ".svg":
         raise SettingError(f"--svg {svg}: the charts are SVG: give a name that ends in .svg")
+    if svg is not None:
+        check_folder(Path(svg))
     for name in over:
         if name not in scale.VALUES:
             raise SettingError(f"--scale: {unknown('curve', name, scale.VALUES)}")
@@ -401,6 +413,9 @@ def study(
     """Time every technique and measure how wrong it is: report.html, results.json, results.csv and all pictures."""
     common = Common(allow_outside=allow_outside) if size is None else Common(size=size, allow_outside=allow_outside)
     pixels = None if size is None else common.pixels()
+    from glhybrid.settings import Settings
+
+    Settings(bounces=bounces, samples=64 if samples is None else samples)  # refuses what is out of range
     from glhybrid.study import run as studies
     from glhybrid.study.report.words import summary
     from glhybrid.study.store import plain
@@ -472,6 +487,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of stdout left, as `| head` does
         sys.stderr.close()
         return 0
+    except OSError as error:  # a full disk, a name too long
+        console.error(f"{error.filename}: {error.strerror}" if error.filename else error)
+        return USAGE_ERROR
+    except MemoryError:
+        console.error("not enough memory: take a smaller --size or scene")
+        return USAGE_ERROR
 
 
 def _command() -> str:

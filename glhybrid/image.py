@@ -29,6 +29,7 @@ Array = NDArray[Any]
 SUFFIXES = (".png", ".exr", ".npz")
 MOVIE_SUFFIXES = (".mp4", ".webp", ".gif", ".apng")  # of sequences
 HALF_MAX = 65504.0
+LONGEST_NAME = 230  # bytes: file systems take 255, a temporary name has a few more
 NO_ID = 0xFFFFFFFF
 
 
@@ -186,6 +187,8 @@ def check_output(path: str | Path, aov: tuple[str, ...] = (), folder: bool = Tru
 def check_folder(path: Path) -> None:
     """Raises OutputError where a file cannot be put."""
     folder = path.parent
+    if "\0" in str(path) or len(os.fsencode(path.name)) > LONGEST_NAME:
+        raise OutputError(f"{str(path)[:80]!r}: not a file name: at most {LONGEST_NAME} bytes, none of them 0")
     if not folder.exists():
         raise OutputError(f"{path}: there is no folder {folder}: mkdir -p {folder}")
     if not folder.is_dir():

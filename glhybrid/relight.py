@@ -12,6 +12,8 @@ import numpy as np
 from glhybrid.errors import SettingError
 from glhybrid.scene import Light, Scene
 
+MOST_DEGREES = 360_000
+
 
 def angles(light: Light) -> tuple[float, float]:
     """(azimuth, elevation) in degrees of where a directional or spot light comes from."""
@@ -26,6 +28,7 @@ def turn_light(scene: Scene, index: int, azimuth: float, elevation: float) -> Sc
     light = scene.lights[index]
     if light.kind == "point":
         raise SettingError(f"light {index}: a point light has no direction")
+    _check(f"light {index}", azimuth, elevation)
     a, e = np.deg2rad(azimuth), np.deg2rad(elevation)
     x, y, z = -np.sin(a) * np.cos(e), -np.sin(e), -np.cos(a) * np.cos(e)
     lights = list(scene.lights)
@@ -33,10 +36,17 @@ def turn_light(scene: Scene, index: int, azimuth: float, elevation: float) -> Sc
     return scene.replace(lights=tuple(lights))
 
 
+def _check(what: str, *degrees: float) -> None:
+    for angle in degrees:
+        if not abs(angle) <= MOST_DEGREES:  # NaN is not
+            raise SettingError(f"{what}: {angle:g}: expected degrees, up to {MOST_DEGREES} either way")
+
+
 def turn_environment(scene: Scene, degrees: float) -> Scene:
     """The scene with its environment turned to an angle about +Y. Raises SettingError where there is none."""
     if scene.environment is None:
         raise SettingError(f"environment: {scene.name} has none to turn")
+    _check("environment rotation", degrees)
     return scene.replace(environment=replace(scene.environment, rotation=float(np.deg2rad(degrees))))
 
 

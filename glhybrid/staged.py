@@ -143,7 +143,7 @@ class Staged:
         """Features of the plan, with what only the AOVs asked for and the trees as they came out tell."""
         features, upload = self.plan.features, self.upload
         if not upload.geometry.meshes:
-            features = features.replace(**dict.fromkeys(OF_SURFACES, False))
+            features = features.replace(**dict.fromkeys(OF_SURFACES, False), blurred_sky=features.environment)
         if moving is not None and ("motion" in self.aovs or features.filtered):
             upload.keep_previous(vertices=bool(moving.deformers))
             features = features.replace(moving=True, deforming=bool(moving.deformers))

@@ -52,6 +52,8 @@ def scene_path(name: str) -> Path | None:
     """The file of a built-in scene, None if there is none of that name."""
     if not name.removeprefix("failures/").replace("-", "").replace("_", "").isalnum():
         return None  # a path, not a name: must not leave the folder
+    if len(name) > 200:
+        return None  # no file system has such a name
     path = data_folder("scenes") / f"{name}.toml"
     return path if path.is_file() else None
 

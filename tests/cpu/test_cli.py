@@ -155,6 +155,12 @@ def test_a_picture_on_standard_output(fake: _Recorder, capfdbinary: pytest.Captu
         (["render", "x", "-o", "no/where/a.png"], "mkdir -p no/where"),
         (["render", "x", "-o", "-", "--json"], "standard output"),
         (["render", "x", "y"], "y"),
+        (["render", "x", "-o", ""], "no suffix"),
+        (["render", "x", "-o", "a" * 300 + ".png"], "at most 230 bytes"),
+        (["render", "x", "--frames", "0:2", "-o", "{frame}" + "a" * 300 + ".png"], "at most 230 bytes"),
+        (["bench", "--scale", "--svg", "no/where/a.svg"], "mkdir -p no/where"),
+        (["study", "x", "-o", "out", "--samples", "0"], "samples = 0"),
+        (["study", "x", "-o", "out", "--bounces", "-3"], "bounces = -3"),
     ],
 )
 def test_usage_errors_are_one_line_and_nothing_runs(
@@ -168,7 +174,13 @@ def test_usage_errors_are_one_line_and_nothing_runs(
 
 @pytest.mark.parametrize(
     ("error", "code"),
-    [(LoadError("x.glb: broken\nhere"), 2), (DeviceError("no OpenGL"), 3), (KeyboardInterrupt(), 130)],
+    [
+        (LoadError("x.glb: broken\nhere"), 2),
+        (DeviceError("no OpenGL"), 3),
+        (KeyboardInterrupt(), 130),
+        (OSError(28, "No space left on device", "x.png"), 2),
+        (MemoryError(), 2),
+    ],
 )
 def test_failures_are_one_line_with_their_own_code_and_close_the_renderer(
     fake: _Recorder, capsys: pytest.CaptureFixture[str], tmp_path: Path, error: BaseException, code: int
@@ -183,6 +195,21 @@ def test_our_own_mistakes_are_not_hidden(fake: _Recorder) -> None:
     fake.raises = ZeroDivisionError()
     with pytest.raises(ZeroDivisionError):
         cli.main(["render", "x.glb"])
+
+
+def test_ctrl_c_while_python_imports() -> None:
+    code = (
+        "import sys\nclass Interrupt:\n def find_spec(self, name, *_):\n  if name == 'cyclopts': raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Interrupt())\nfrom glhybrid.__main__ import main\nsys.exit(main())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+def test_a_scene_of_a_name_that_no_disk_holds(capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("x" * 300, "x" * 5000, "y" * 300 + ".glb"):
+        code, _, err = _run(capsys, "render", name)
+        assert code == 2 and err.startswith("glhybrid: error: ") and err.count("\n") == 1, name
 
 
 def test_load_warnings_are_told_and_counted(fake: _Recorder, capsys: pytest.CaptureFixture[str]) -> None:

@@ -154,11 +154,12 @@ def test_light_comes_from_where_it_is_put() -> None:
     assert np.allclose(turned.lights[0].direction, (-np.cos(np.pi / 6), -0.5, 0.0))
     assert relight.angles(turned.lights[0]) == pytest.approx((90, 30)) and turned.lights[1] is scene.lights[1]
     assert turned.environment is not None and turned.environment.rotation == pytest.approx(np.pi / 4)
-    for bad in ("1:0,0", "2:0,0", "0:x,1", "0:1", "0"):
+    for bad in ("1:0,0", "2:0,0", "0:x,1", "0:1", "0", "0:1e999,0"):
         with pytest.raises(SettingError):
             relight.apply(scene, (bad,))
-    with pytest.raises(SettingError):
-        relight.apply(Scene("bare"), (), 10.0)
+    for other, angle in ((Scene("bare"), 10.0), (scene, np.nan), (scene, np.inf)):
+        with pytest.raises(SettingError):
+            relight.apply(other, (), angle)
 
 
 def test_the_budget_shrinks_at_once_and_grows_with_room() -> None:

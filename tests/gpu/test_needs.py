@@ -150,6 +150,15 @@ def test_the_reference_convolves_no_sky(renderer: gh.Renderer) -> None:
     assert not {"environment_rough", "environment_diffuse", "dfg"} & set(ran.resources)
 
 
+def test_the_reference_of_nothing_is_the_sky(renderer: gh.Renderer) -> None:
+    varied = Environment(np.random.default_rng(0).uniform(0, 1, (8, 16, 3)).astype(np.float32))
+    pictures = [
+        Ran(renderer, scene_of().replace(environment=varied), reflections=name, samples=1).frame["radiance"]
+        for name in ("reference", "ray-lerp")
+    ]
+    assert np.array_equal(*pictures) and pictures[0].std() > 0.1
+
+
 def test_one_level_where_nothing_repeats(renderer: gh.Renderer) -> None:
     flat = Ran(renderer, scene())
     assert flat.plan["levels"] == 1 and not flat.names("two_level")
