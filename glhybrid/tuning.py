@@ -130,14 +130,15 @@ def measure(context: "Context", shaders: "Shaders") -> Tuning:
         times = _race(context, works, warm_up_s=0.0 if context.device.software else WARM_UP_S)
         triangle = max(times["many"] - times["few"], 0.0) / (many.triangles - few.triangles)
         pixel = max(times["few"] - triangle * few.triangles, 0.05 * times["few"]) / pixels
-        steps, variants = 0, dict[str, float]()
-        for candidate in candidates(context.device.software):
-            if variants and time.perf_counter() - started > BUDGET_S:
+        tried: dict[str, Callable[[], Any]] = {}
+        for candidate in candidates(context.device.software):  # all compiled first: a GPU that waits lowers its clock
+            if tried and time.perf_counter() - started > BUDGET_S:
                 break
-            cost = _race(context, {"": many.rays(candidate)})[""] / pixels * 1e9
-            if not variants or cost * WORTH < variants[str(steps)]:
-                steps = candidate
-            variants[str(candidate)] = cost
+            tried[str(candidate)] = many.rays(candidate)
+        costs = _race(context, tried, warm_up_s=0.0 if context.device.software else WARM_UP_S)
+        variants = {name: cost / pixels * 1e9 for name, cost in costs.items()}
+        first, best = next(iter(variants)), min(variants, key=lambda name: variants[name])
+        steps = int(best if variants[best] * WORTH < variants[first] else first)
     finally:
         few.release()
         many.release()

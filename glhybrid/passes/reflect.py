@@ -2,7 +2,7 @@
 
 Fused, one program does it all: nothing is looked up twice, best on a CPU. Split, three do a part each (ray, shadow,
 shade): a GPU's traversal then does not carry the registers of the shading code; on an H100 133 frames/s became 164.
-Where no surface has an any-hit function that looks at textures, ray and shadow go together: there 3 % of a frame.
+Where the program of the ray is small (plan.py), its hit's shadow rays go with it: 4 % of a frame.
 """
 
 from typing import Any

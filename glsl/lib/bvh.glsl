@@ -22,6 +22,8 @@ const uint SEE_SURFACES = 0u;      // camera and reflection rays: single-sided b
 const uint SEE_BLOCKERS = 1u;      // shadow rays: everything, blended surfaces tint; stops at the first full blocker
 const uint SEE_BLENDED = 2u;       // only blended surfaces
 
+const bool ASKS = ALPHA_TEST || BLENDED || SINGLE_SIDED;    // a hit may have to ask an any-hit function
+
 // One stack for every traversal in the shader: each copy would cost its bytes in local memory, used or not.
 uint stack[BVH_STACK];
 #if USE_STEP_COUNTER
@@ -242,7 +244,7 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
                 continue;
             }
 #endif
-            if (slot == slot_end) {
+            if (!ASKS || slot == slot_end) {
                 slot = ((cur & ~LEAF) >> 4u) * 3u;
                 slot_end = slot + (cur & 15u) * 3u;
             }
@@ -264,7 +266,7 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
                 if (closest && SINGLE_SIDED) met = met && (faces_ray || (s1.w & SLOT_SINGLE_SIDED) == 0u);
                 bool ask = (s1.w & SLOT_ASK) != 0u;
                 if (BLENDED && see == SEE_BLENDED) met = met && ask;
-                if ((ALPHA_TEST || BLENDED || SINGLE_SIDED) && met && ask) {
+                if (ASKS && met && ask) {
                     candidate = Hit(t, bary, instance, s0.w, s1.w & SLOT_GEOMETRY);
                     front = faces_ray;
                     pending = true;
@@ -274,7 +276,7 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
                     if (!closest) { tint = vec3(0.0); return; }
                 }
             }
-            if (slot == slot_end) cur = stack[sp--];
+            if (!ASKS || slot == slot_end) cur = stack[sp--];
             if (pending) break;
         }
         if (!pending) return;

@@ -9,23 +9,14 @@ shared vec2 partial[1024];
 
 const int SAMPLES_ACROSS = 256;    // of the picture, at most: the average needs no more
 
-const int AT_ONCE = 8;             // loads on their way to an invocation: one by one, a GPU waits for each
-
 void main() {
     uint i = gl_LocalInvocationIndex;
     ivec2 steps = min(frame.size_px, ivec2(SAMPLES_ACROSS));
-    int count = steps.x * steps.y;
     vec2 sum = vec2(0.0);
-    for (int first = int(i); first < count; first += 1024 * AT_ONCE) {
-        vec3 c[AT_ONCE];
-        for (int k = 0; k < AT_ONCE; k++) {
-            int n = min(first + 1024 * k, count - 1);
-            c[k] = imageLoad(radiance, ivec2((vec2(n % steps.x, n / steps.x) + 0.5) / vec2(steps) * vec2(frame.size_px))).rgb;
-        }
-        for (int k = 0; k < AT_ONCE; k++) {
-            float l = first + 1024 * k < count ? luminance(c[k]) : 0.0;
-            if (l > 0.0 && l < INFINITY) sum += vec2(log2(clamp(l, 1e-6, 1e6)), 1.0);   // black pixels say nothing
-        }
+    for (int n = int(i); n < steps.x * steps.y; n += 1024) {
+        ivec2 px = ivec2((vec2(n % steps.x, n / steps.x) + 0.5) / vec2(steps) * vec2(frame.size_px));
+        float l = luminance(imageLoad(radiance, px).rgb);
+        if (l > 0.0 && l < INFINITY) sum += vec2(log2(clamp(l, 1e-6, 1e6)), 1.0);   // black pixels say nothing
     }
     partial[i] = sum;
     for (uint half_count = 512u; half_count > 0u; half_count >>= 1u) {

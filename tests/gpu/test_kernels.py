@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from glhybrid import Renderer, Settings, load
+from glhybrid.bench import scale
 from glhybrid.context import Context
 from glhybrid.levels import choose_levels
 from glhybrid.scene import Camera, Instance, Light, Material, Mesh, Scene, Sphere
@@ -44,13 +45,13 @@ def _at(x: float, y: float, z: float) -> Any:
     return m
 
 
-@pytest.mark.parametrize("scene", ["cornell", "showroom", 0, 3, "masked", 40], ids=str)
+@pytest.mark.parametrize("scene", ["cornell", "showroom", 0, 3, "masked", 40, "plain"], ids=str)
 @pytest.mark.parametrize("levels", [1, 2])
 @pytest.mark.parametrize("shadows", ["ray", "pcf"])
 def test_programs_of_parts_are_one(context: Context, scene: Any, levels: Any, shadows: str) -> None:
     """Bit for bit where the compiler rounds equal sums alike; elsewhere a few ulp, but for texels at the edge of a shadow."""
-    masked = scene == "masked"
-    drawn = spheres(3, masked) if masked else spheres(scene) if isinstance(scene, int) else load(scene)
+    made = {"masked": lambda: spheres(3, masked=True), "plain": lambda: scale.subject(2000)}
+    drawn = spheres(scene) if isinstance(scene, int) else made.get(scene, lambda: load(scene))()
     found = {}
     for kernels in ("fused", "split"):
         with Renderer(context=context) as renderer:
@@ -58,7 +59,10 @@ def test_programs_of_parts_are_one(context: Context, scene: Any, levels: Any, sh
             found[kernels] = renderer.render(drawn, size=SIZE, settings=settings, aovs=AOVS)
             programs = {p.split()[0] for p in found[kernels].receipt["plan"]["programs"]}
             assert ("reflect" in programs) == (kernels == "fused")
-            bits = shadows == "ray" and masked  # without any-hit functions these rays go with the mirror rays
+            features = renderer._stagings[-1].features
+            together = kernels == "split" and scene == "plain" and levels == 1 and shadows == "ray"
+            assert features.mirror_shadows == together
+            bits = features.shadow_bits and not together
             assert {"reflect_ray", "reflect_shade"} <= programs or kernels == "fused"
             assert ("reflect_shadow" in programs) == (bits and kernels == "split")
     one, three = (found[k] for k in ("fused", "split"))
