@@ -20,6 +20,8 @@ FOV_Y, NEAR = 45.0, 0.01
 
 
 class CameraMove(Protocol):
+    """How a camera moves through a sequence of frames."""
+
     def length(self, fps: float) -> int:
         """Frames from start to end."""
 

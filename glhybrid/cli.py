@@ -114,6 +114,7 @@ class Common:
         return settings.with_overrides(self.set)
 
     def pixels(self) -> tuple[int, int]:
+        """(width, height) of --size. Raises SettingError."""
         match = re.fullmatch(r"(\d{1,6})[xX](\d{1,6})", self.size.strip())
         if match is None:
             raise SettingError(f'--size "{self.size}": expected WIDTHxHEIGHT in pixels, such as 1280x720')
@@ -123,10 +124,12 @@ class Common:
         return width, height
 
     def camera_key(self) -> int | str | None:
+        """--camera as Renderer.render takes it."""
         text = self.camera
         return int(text) if text is not None and text.isdecimal() else text
 
     def load(self, scene: str) -> "Scene":
+        """The scene, under the lights asked for. Raises LoadError or SettingError."""
         import glhybrid
 
         loaded = glhybrid.load(scene, strict=self.strict, allow_outside=self.allow_outside)

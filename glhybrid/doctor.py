@@ -45,6 +45,8 @@ class Probe:
 
 @dataclass(frozen=True)
 class Library:
+    """Something optional that is there or not."""
+
     name: str
     version: str  # "" = missing
     use: str = ""
@@ -53,6 +55,8 @@ class Library:
 
 @dataclass(frozen=True)
 class Report:
+    """All that was found. usable: whether a picture can be drawn."""
+
     glhybrid: str
     python: str
     platform: str

@@ -146,6 +146,7 @@ class Passes:
         self.gbuffer = self._gbuffers[traced]
 
     def release(self) -> None:
+        """Frees what passes own; images belong to Targets."""
         sparse = self.reflect if isinstance(self.reflect, ReflectSparse) else None
         for owner in (*self._gbuffers.values(), self.maps, sparse):
             if owner is not None:

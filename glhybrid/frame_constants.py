@@ -48,6 +48,7 @@ class FrameConstants:
             views[name][...] = value
 
     def upload(self) -> None:
+        """Sends all fields as they are."""
         self.buffer.write(self.rows)
 
     def choose_lights(self, first: int, end: int) -> None:

@@ -128,10 +128,12 @@ class GpuScene:
 
     @property
     def buffer_bytes(self) -> int:
+        """Of all buffers, tables and trees."""
         return sum(o.size for o in self._owned if isinstance(o, moderngl.Buffer))
 
     @property
     def image_bytes(self) -> int:
+        """Of texture pages."""
         return sum(
             t.width * t.height * t.layers * t.components for t in self._owned if isinstance(t, moderngl.TextureArray)
         )
@@ -254,6 +256,7 @@ class GpuScene:
         return int(self.geometry.instance_mesh[found[0]]) if len(found) else -1
 
     def release(self) -> None:
+        """Frees everything; nothing of the scene may be drawn after it."""
         for owned in reversed(self._owned):
             owned.release()
         self._owned.clear()
@@ -327,7 +330,7 @@ class GpuScene:
 
 
 def light_rows(lights: tuple[Light, ...], origin: F64) -> np.ndarray:
-    """Rows of layout Light, positions relative to origin."""
+    """(L,) rows of layout Light, positions relative to origin (3,) float64, world, metres."""
     rows = np.zeros(len(lights), layout.dtype("Light"))
     for row, light in zip(rows, lights, strict=True):
         row["color"] = np.asarray(light.color) * light.intensity
@@ -343,7 +346,7 @@ def light_rows(lights: tuple[Light, ...], origin: F64) -> np.ndarray:
 
 
 def material_rows(materials: tuple[Material, ...], pages: textures.TexturePages | None) -> np.ndarray:
-    """Rows of layout Material."""
+    """(M,) rows of layout Material, at least one. pages: where their textures lie, if any has one."""
     rows = np.zeros(max(len(materials), 1), layout.dtype("Material"))
     plain = (
         "base_color", "emissive", "metallic", "specular_color", "roughness", "specular", "alpha_cutoff", "normal_scale",

@@ -48,6 +48,7 @@ class Aov:
     meaning: str
 
     def shape(self, height: int, width: int, lights: int = 0) -> tuple[int, ...]:
+        """Of its array, for pictures of that size and a scene of so many lights."""
         if not self.channels:
             return height, width, lights
         return (height, width) if len(self.channels) == 1 else (height, width, len(self.channels))

@@ -17,6 +17,8 @@ MIRROR_ROUGHNESS = 0.02  # as in lib/brdf.glsl
 
 @dataclass(frozen=True)
 class Features:
+    """What shaders are specialised by. Hashable; two that are equal share every program."""
+
     two_level: bool = False  # instances are traced through a top-level tree
     spheres: bool = False  # analytic spheres
     alpha_test: bool = False  # a material cuts holes

@@ -42,7 +42,7 @@ def layers(image: Any) -> Reading[NDArray[np.float32]]:
 
 
 def constant(array: NDArray[Any]) -> Reading[NDArray[Any]]:
-    """What need not be read."""
+    """An array, as it is, that need not be read."""
     return array
     yield
 

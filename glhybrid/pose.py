@@ -232,7 +232,7 @@ def refuse_flat(scene: Scene, instance: Instance) -> None:
 
 
 def invertible(world: F64) -> F64:
-    """The matrix; where it flattens an object, with a thickness of 1e-6 of its size instead of none."""
+    """The matrix (4, 4); where it flattens an object, with a thickness of 1e-6 of its size instead of none."""
     u, s, v = np.linalg.svd(world[:3, :3])
     if s[2] > 1e-7 * s[0]:
         return world

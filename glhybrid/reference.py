@@ -46,6 +46,7 @@ class Hits:
 
     @property
     def hit(self) -> NDArray[np.bool_]:
+        """(R,) bool: whether anything was met."""
         return self.triangle != NO_HIT
 
 

@@ -210,6 +210,7 @@ class Environment:
 
     @property
     def constant(self) -> bool:
+        """Whether it is the same from everywhere, so that no map is needed."""
         return self.radiance.shape[:2] == (1, 1)
 
 
@@ -279,6 +280,8 @@ class Node:
 
 @dataclass(frozen=True, eq=False)
 class Skin:
+    """What Triangles.joints index. inverse_bind: joint space from the mesh's, at rest."""
+
     joints: tuple[int, ...]  # node indices
     inverse_bind: F64  # (J, 4, 4)
     name: str = ""
@@ -297,6 +300,8 @@ class Channel:
 
 @dataclass(frozen=True, eq=False)
 class Animation:
+    """One clip of a file: all channels run on one clock, in seconds from 0, held at their ends."""
+
     name: str
     channels: tuple[Channel, ...]
 

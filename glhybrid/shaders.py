@@ -362,6 +362,7 @@ class Shaders:
         return sorted(p.name for p in self._programs.values())
 
     def release(self) -> None:
+        """Frees all programs."""
         for program in (*self._programs.values(), *self._retired):
             program.program.release()
         self._programs.clear()

@@ -58,7 +58,7 @@ def _unit(v: F64) -> F64:
 
 
 def resample(radiance: F32) -> F64:
-    """The mean radiance over each of HEIGHT x WIDTH cells: no light is lost, whatever the size of the map."""
+    """(HEIGHT, WIDTH, 3) mean radiance of (H, W, 3) over each cell: no light is lost, whatever the size of the map."""
     height, width = radiance.shape[:2]
     if width < WIDTH or height < HEIGHT:  # as it is looked up: bilinear
         radiance = _bilinear(radiance, max(height, HEIGHT), max(width, WIDTH))

@@ -159,6 +159,7 @@ class Staged:
         self.upload.resources.update(self._own)
 
     def fits(self, scene: Scene, settings: Settings, aovs: tuple[str, ...]) -> bool:
+        """Whether it draws this scene under these settings, with these AOVs, as one staged for them would."""
         if self.stale:
             return False
         if settings is not self.settings:

@@ -57,7 +57,7 @@ def _unpack(data: bytes, triangles: int) -> Charts:
 
 
 def clusters(corners: F32) -> list[np.ndarray]:
-    """Rows of triangles in groups of about CLUSTER that lie together, in Morton order of their middles."""
+    """Rows of (T, 3, 3) triangles in groups of about CLUSTER that lie together, in Morton order of their middles."""
     if len(corners) <= 2 * CLUSTER:
         return [np.arange(len(corners))]
     middle = corners.mean(1, dtype=np.float64)

@@ -18,6 +18,8 @@ MEDIAN_DEPTH = 40  # below this depth ranges are halved, which bounds the depth 
 
 
 class Grown(NamedTuple):
+    """A tree before it is put on its grid: packed nodes (N, 8) uint32, depth and SAH cost."""
+
     nodes: U32  # (N, 8), parents before children, root first
     depth: int  # inner nodes on the longest way from the root to a leaf
     cost: float  # SAH cost, node and triangle at 1, relative to the root's area
@@ -68,13 +70,13 @@ def pack_boxes(boxes: U16) -> U32:
 
 
 def single_leaf(fragments: U16) -> Grown:
-    """A root with one leaf, and an empty child that names the same slots."""
+    """Over (n, 8) fragments: a root with one leaf, and an empty child that names the same slots."""
     words = pack_boxes(fragments.max(0))
     return Grown(np.array([[*words, LEAF | len(fragments), *words, LEAF]], np.uint32), 1, 1.0 + len(fragments))
 
 
 def grow_small(fragments: U16, grid_step: F32, max_leaf: int = 4) -> Grown:
-    """The tree over a few hundred fragments, which are put into leaf order: full SAH, every split of every axis.
+    """The tree over a few hundred fragments (n, 8), which are put into leaf order: full SAH, every split of every axis.
 
     About 0.1 ms a node, so build.grow_tree is the better one from about a thousand fragments on.
     """

@@ -11,6 +11,8 @@ from glhybrid.errors import GlhybridError
 
 @dataclass(frozen=True)
 class BuiltinScene:
+    """One of those that come with the package. name: as load() takes it."""
+
     name: str
     description: str  # one line
     path: Path
@@ -59,5 +61,6 @@ def scene_path(name: str) -> Path | None:
 
 
 def scene_names() -> list[str]:
+    """All names that load() takes, those of failures included."""
     folder = data_folder("scenes")
     return [str(path.relative_to(folder).with_suffix("").as_posix()) for path in sorted(folder.rglob("*.toml"))]

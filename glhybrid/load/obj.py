@@ -33,6 +33,8 @@ class _Lines:
 
 
 class ObjReader:
+    """Collects the statements of one file, in order."""
+
     def __init__(self, path: Path, report: Report, files: Files, smooth: bool) -> None:
         self.path, self.report, self.files, self.smooth = path, report, files, smooth
         self.materials: list[Material] = []

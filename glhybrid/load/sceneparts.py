@@ -35,6 +35,7 @@ def parameters(table: Table, defaults: dict[str, Any]) -> dict[str, Any]:
 
 
 def camera(name: str, table: Table) -> Camera:
+    """A [camera.NAME] table. Raises LoadError naming table and key."""
     for key in ("eye", "target"):
         table.need(key, f"needs {key} = [x, y, z]")
     eye, target = (three(table.vector(key, (0, 0, 0), PLACE)) for key in ("eye", "target"))
@@ -70,6 +71,7 @@ def probe(table: Table) -> Probe:
 
 
 def light(table: Table) -> Light:
+    """A [[light]] table. Raises LoadError naming table and key."""
     table.need("kind", 'needs kind = "directional", "point" or "spot"')
     kind: Any = table.string("kind", "", ("directional", "point", "spot"))
     plain = Light(kind)

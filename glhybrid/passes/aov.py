@@ -16,6 +16,8 @@ from glhybrid.targets import Targets
 
 
 class Aov:
+    """Whatever is asked of the first surface; only its programs are kept."""
+
     name = "aov"
 
     def __init__(self, shaders: Shaders, scene: GpuScene, features: Features) -> None:

@@ -10,6 +10,8 @@ from glhybrid.targets import Targets
 
 
 class Composite:
+    """The last step of a frame: everything that earlier passes found, put together. Owns nothing."""
+
     name = "composite"
 
     def __init__(self, shaders: Shaders, scene: GpuScene, features: Features) -> None:

@@ -111,6 +111,7 @@ class GBufferTrace:
         self._scene = scene
 
     def run(self, targets: Targets) -> moderngl.Texture:
+        """Returns the ids, gbuffer_id of layout.py."""
         ids: moderngl.Texture = targets.get("gbuffer_id")
         self._program.dispatch({**self._scene.resources, "out_id": ids}, targets.size)
         return ids

@@ -106,6 +106,7 @@ class Probe:
         self.resources["Probes"].write(rows)
 
     def timed(self, work: Callable[[], None]) -> None:
+        """Runs work() and notes its milliseconds in `ms`, from finish() to finish()."""
         self._context.gl.finish()
         start = time.perf_counter()
         work()

@@ -12,6 +12,8 @@ RAYS_AT_ONCE = 8  # of an invocation: llvmpipe ends all its loops at 65,535 turn
 
 
 class RayAo:
+    """Ambient occlusion by rays, which know what the camera does not see. Owns nothing."""
+
     name = "ray_ao"
 
     def __init__(self, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings) -> None:

@@ -18,6 +18,8 @@ SAMPLES_AT_ONCE = 4  # in a dispatch on a GPU; one on a CPU, where a dispatch ca
 
 
 class Reference:
+    """Owns the tables that light is sampled by: what shines, and the sky's distribution."""
+
     name = "reference"
 
     def __init__(self, context: Context, shaders: Shaders, scene: GpuScene, features: Features) -> None:

@@ -141,7 +141,7 @@ class Refit:
 
 
 def levels_of(blas: Blas) -> list[np.ndarray]:
-    """Rows of nodes by depth, the root first."""
+    """(N,) int64 rows of nodes, an array a depth, the root first."""
     refs = blas.nodes[:, 3::4]
     levels = [np.zeros(1, np.int64)]
     while len(below := refs[levels[-1]][refs[levels[-1]] < LEAF]):

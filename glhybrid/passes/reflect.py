@@ -16,6 +16,8 @@ _HANDED_ON = ("mirror_hit", "mirror_ray")
 
 
 class Reflect:
+    """The mirror ray of every pixel that sends one, in one program or three. Owns nothing."""
+
     name = "reflect"
 
     def __init__(self, shaders: Shaders, scene: GpuScene, features: Features, split: bool = False) -> None:
@@ -29,6 +31,7 @@ class Reflect:
         self._scene = scene
 
     def run(self, targets: Targets, ids: Any) -> dict[str, Any]:
+        """Returns `reflection` of layout.py, by its channel."""
         reflection = targets.get("reflection")
         resources = {**self._scene.resources, "gbuffer_id": ids, "out_reflection": reflection}
         for name in self._images:

@@ -20,6 +20,8 @@ from glhybrid.targets import Targets
 
 
 class ReflectSparse:
+    """Owns the list of pixels that need a ray of their own, and their number."""
+
     name = "reflect"
 
     def __init__(
@@ -34,6 +36,7 @@ class ReflectSparse:
         self._list: moderngl.Buffer | None = None
 
     def run(self, targets: Targets, ids: Any) -> dict[str, Any]:
+        """Returns `reflection` of layout.py, by its channel."""
         width, height = targets.size
         if self._list is None or self._list.size != 4 * width * height:
             self._release_list()

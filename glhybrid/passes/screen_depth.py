@@ -13,6 +13,8 @@ from glhybrid.targets import Targets
 
 
 class ScreenDepth:
+    """What a march through the screen skips by. Owns nothing."""
+
     name = "screen_depth"
 
     def __init__(self, shaders: Shaders, scene: GpuScene, features: Features) -> None:

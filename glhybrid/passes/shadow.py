@@ -11,6 +11,8 @@ LIGHTS_AT_ONCE = 8  # in a dispatch: llvmpipe ends all loops of an invocation at
 
 
 class Shadow:
+    """Any-hit rays from what the camera sees to every light. Owns nothing."""
+
     name = "shadow"
 
     def __init__(self, shaders: Shaders, scene: GpuScene, features: Features) -> None:

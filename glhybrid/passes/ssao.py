@@ -14,6 +14,8 @@ from glhybrid.targets import Targets
 
 
 class Ssao:
+    """Ambient occlusion by the horizons of the G-buffer. Owns nothing."""
+
     name = "ssao"
     channel = "occlusion"
 

@@ -20,6 +20,8 @@ from glhybrid.targets import Targets
 
 
 class Ssr:
+    """Reflections marched through the G-buffer, for `ssr` and `ssr-ray`. Owns nothing."""
+
     name = "ssr"
 
     def __init__(self, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings) -> None:
