@@ -13,7 +13,7 @@ DEMO := out/atrium.png
 
 MODELS ?= ../shared/models
 
-.PHONY: help setup setup-dev demo test sheet failures viewer-pictures clean
+.PHONY: help setup setup-dev demo test sheet failures viewer-pictures study-picture clean
 
 help:
 	@sed -n 's/^# \(make .*\)/\1/p' Makefile
@@ -48,6 +48,10 @@ viewer-pictures: setup-dev
 		--pick 330,560 --screenshot scenes/pictures/viewer-split.png
 	$(BIN)/glhybrid view showroom --size 900x620 --show reason --reflections ssr --pick 300,250 \
 		--screenshot scenes/pictures/viewer-reason.png
+
+study-picture: setup-dev
+	$(BIN)/glhybrid study showroom --quick -o out/study
+	cp out/study/charts/showroom-picture.svg scenes/pictures/study-showroom.svg
 
 clean:
 	rm -rf out build dist .pytest_cache .ruff_cache .mypy_cache

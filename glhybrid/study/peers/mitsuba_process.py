@@ -9,7 +9,7 @@ from glhybrid.study.peers import common
 from glhybrid.study.peers.read_glb import Drawn, read
 
 NOTES = [
-    "`principled`: equal for metals, another dielectric (Disney diffuse, true Fresnel)",
+    "its principled BSDF: equal for metals, another dielectric (Disney diffuse, true Fresnel)",
     "light between surfaces to 8 bounces; lamps without size",
 ]
 

@@ -73,7 +73,12 @@ def _header(study: "Study") -> str:
     ):  # fmt: skip
         if there:
             links.append(
-                (f"#{anchor}", {"reading": "how to read this", "paper": "the paper again"}.get(anchor, anchor))
+                (
+                    f"#{anchor}",
+                    {"reading": "how to read this", "paper": "the paper again", "peers": "other renderers"}.get(
+                        anchor, anchor
+                    ),
+                )
             )
     facts = {
         "device": f"{device.get('renderer', '')}{kind}",

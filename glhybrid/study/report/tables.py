@@ -110,8 +110,8 @@ def _table_1(lines: Sequence[Row], printed: Sequence[Row]) -> str:
         f"scene {p['scene']}: {_range(p['kim'])} against {_range(p['unreal'])}, {_range(p['lead'])} %" for p in printed
     )
     about = (
-        "<p class='soft'>The errors of random rays are of one frame on its own, and at rest of the 17th: filtered in time. "
-        "Both are with their denoiser, as the times are.</p>"
+        "<p class='soft'>Random rays are denoised, in time and error. Their error is of one frame on its own, and at rest "
+        "of the 17th, filtered over those before.</p>"
     )
     about += f"<p class='soft'>The paper printed, on an RTX 2070 SUPER against Unreal 4: {said}.</p>" if said else ""
     return (
