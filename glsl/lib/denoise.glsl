@@ -56,8 +56,8 @@ float pixel_width(float depth) { return frame.orthographic == 1u ? frame.pixel_a
 float alike(Guide a, Guide b) {
     vec3 d = b.position - a.position;
     float slope2 = square(dot(a.n, d)) / max(dot(d, d), 1e-30);
-    // A lobe turns twice as far as its normal: half its width is a quarter of what may differ.
-    float turn = IS_VISIBILITY ? 0.3 : max(0.5 * square(a.roughness), 0.01);
+    // Normals may be as far apart as the half vectors of one lobe.
+    float turn = IS_VISIBILITY ? 0.3 : max(square(a.roughness), 0.01);
     float turned = 2.0 * max(1.0 - dot(a.n, b.n), 0.0) / square(turn);
     float rougher = IS_VISIBILITY ? 0.0 : square((b.roughness - a.roughness) / (0.1 * a.roughness + 0.005));
     return exp(-(slope2 / square(0.1) + turned + rougher));

@@ -100,6 +100,21 @@ def test_other_roughness(renderer: "Renderer", truth: "dict[float, F64]", roughn
     assert abs(got.mean() / want.mean() - 1) < 0.005
 
 
+def test_round_things(renderer: "Renderer") -> None:
+    """Balls of four roughnesses, whose normals turn by a lobe's width over a few pixels."""
+    parts: list[Any] = [(floor(4.0), metal((0.95, 0.93, 0.9), 0.3)), (box((-2, 0, -1.3), (2, 0.8, -1.1)), matte(0.3))]
+    for x, roughness in ((-1.1, 0.15), (-0.35, 0.25), (0.4, 0.4), (1.1, 0.6)):
+        parts.append((Sphere(0.34), metal((0.9, 0.7, 0.4), roughness), (x, 0.34, 0.3)))
+    camera = Camera.look_at((0.4, 1.3, 3.4), (0, 0.3, 0), fov_y=0.7)
+    world = scene(parts, camera, environment=metal_floor(0.0).environment)
+    want = draw(renderer, world, 512, seed=9, parameters=RAW)["radiance"].astype(np.float64)
+    for samples, share in ((1, 0.25), (4, 0.35)):
+        raw = draw(renderer, world, samples, parameters=RAW)["radiance"]
+        got = draw(renderer, world, samples)["radiance"].astype(np.float64)
+        assert rmse(got, want) < share * rmse(raw, want), (rmse(got, want), rmse(raw, want))
+        assert abs(got.mean() / want.mean() - 1) < 0.005
+
+
 @pytest.mark.parametrize("roughness", [0.1, 0.4])
 def test_what_has_converged_stays(renderer: "Renderer", roughness: float) -> None:
     """512 rays: the filter changes the picture by less than the little noise that is left would allow."""
