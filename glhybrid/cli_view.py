@@ -128,6 +128,8 @@ def run(
                 if (pixel := flags.pixel()) is not None:
                     viewer.tick()
                     viewer.act("pick", pixel)
+                if not saved:
+                    session.say("H shows keys and pointer")
                 viewer.run()
                 viewer.remember()
         finally:

@@ -50,15 +50,12 @@ class Viewer:
         self._canvas: Any = None
         self._saved = saved or {}
         self.bookmarks = store.Bookmarks(self._saved)
-        self.gui = Gui(surface.context, surface)
         self.controls = Controls(session, self.act, self._focus, lambda: self.panels.views())
-        self.turns = Turns(surface, self.gui, self.controls, self._take, self._present, self._stale)
+        self.turns = Turns(surface, self.controls, self._take, self._present, self._stale)
         self.renderer.shaders.progress = self.turns.progress
         self.pictures = Pictures(self.renderer, session, self._upload, self.turns.turn, self.turns.progress)
-        scale = surface.scale
         self._asked: list[str] = []  # actions that the panel's buttons name
-        self.panels = Panels(self.gui, session, self.pictures, self.controls, self.bookmarks, self._asked.append, scale)
-        self.overlay = Overlay(self.gui, session, self.pictures, self.controls, scale)
+        self._make_gui()
         self._watching = watch
         self._watch = Watch(session.scene.path if watch else None)
         self._shader_check = clock.monotonic() + PERIOD_S
@@ -68,6 +65,14 @@ class Viewer:
         self._caption = ""
         self.frames = 0  # presented
         self._probed = False
+
+    def _make_gui(self) -> None:
+        """For the display's scale of now."""
+        surface, session = self.surface, self.session
+        self.gui = self.turns.gui = Gui(surface.context, surface)
+        about = self.gui, session, self.pictures, self.controls
+        self.panels = Panels(*about, self.bookmarks, self._asked.append, self.gui.scale)
+        self.overlay = Overlay(*about, self.gui.scale)
 
     # The loop
 
@@ -82,6 +87,10 @@ class Viewer:
         events, self.turns.pending = self.turns.pending, []
         events = [*events, *self.surface.poll(waiting if self.surface.visible else IDLE_S)]
         taken = clock.perf_counter()
+        if self.surface.scale != self.gui.scale:  # the window is on another display
+            self.gui.close()
+            self._make_gui()
+            self._dirty = SETTLE_FRAMES
         self.controls.size = self.picture_size
         for event in merged(events):
             self._take(event)

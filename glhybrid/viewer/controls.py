@@ -27,6 +27,9 @@ HELP = (
     ("+ and -, O", "exposure; automatic exposure"),
     ("C, P, B", "copy the command; save the picture; bookmark"),
     ("F5, Tab, H, Ctrl+Q", "reload; panel; this help; quit"),
+    ("Esc", "back to the picture; ends what is being prepared"),
+    ("Drop a file", "opens it; what is open is read again when it is written"),
+    ("Ctrl+click a slider", "type the number"),
 )
 
 

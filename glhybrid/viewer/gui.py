@@ -65,8 +65,9 @@ class Gui:
         self._own: dict[int, moderngl.Texture] = {}
         self._given: dict[int, moderngl.Texture] = {}
         self._cursor = ""
+        self.scale = surface.scale
         self._load_fonts()
-        self._style(surface.scale)
+        self._style(self.scale)
 
     def _load_fonts(self) -> None:
         folder = Path(need("imgui_bundle", "viewer").__file__ or "").parent / "assets" / "fonts"
@@ -99,7 +100,8 @@ class Gui:
             c.slider_grab_active: (*accent, 1.0), c.check_mark: (*accent, 1.0), c.separator: (0.23, 0.24, 0.255, 1.0),
             c.plot_lines: (*accent, 1.0), c.plot_histogram: (*accent, 0.85), c.text_selected_bg: (*accent, 0.35),
             c.scrollbar_bg: (0, 0, 0, 0), c.table_row_bg_alt: (1, 1, 1, 0.025), c.border: (0.25, 0.26, 0.28, 1.0),
-            c.nav_cursor: (*accent, 0.8),
+            c.nav_cursor: (*accent, 0.8), c.title_bg: (0.165, 0.172, 0.185, 1.0),
+            c.title_bg_active: (0.2, 0.21, 0.225, 1.0),
         }  # fmt: skip
         for index, color in colors.items():
             style.set_color_(index, imgui.ImVec4(*color))

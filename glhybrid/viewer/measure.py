@@ -4,6 +4,7 @@ Numbers are made anew whenever the reference has twice as many samples as the la
 """
 
 from collections.abc import Callable
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from typing import Any
 
@@ -69,7 +70,12 @@ class Measure:
                 flip = self._flips.get(side)
                 self.errors[side] = replace(error, flip=flip[2] if flip is not None else None)
                 changed = True
-        if (flipped := self._worker.flipped(wait)) is not None:
+        try:
+            flipped = self._worker.flipped(wait)
+        except (BrokenProcessPool, MemoryError) as error:  # the process was killed, or has no room
+            self._has_flip, flipped = False, None
+            self._session.say(f"no FLIP from now on: {error}", error=True)
+        if flipped is not None:
             (side, key), error_map, mean = flipped
             if self._asked.get(side) == key:
                 self._flips[side] = key, error_map, mean
@@ -92,11 +98,12 @@ class Measure:
         if mode == "flip" and side in self._flips:
             key, error_map, _ = self._flips[side]
             if self._maps.get(side, (None,))[0] != (mode, key):
-                rgb, self.legend = views.heat(error_map, 1.0, "FLIP")
+                rgb, self.legend = views.heat(error_map, 1.0, "equal ... as unlike as can be")
                 self._maps[side] = (mode, key), self._upload(f"map {side}", rgb)
                 return True
         if mode == "flip" and not self._has_flip:
-            self._session.say("FLIP needs flip-evaluator: pip install 'glhybrid[viewer]'", error=True)
+            if not compare.has_flip():
+                self._session.say("FLIP needs flip-evaluator: pip install 'glhybrid[viewer]'", error=True)
             self._session.mode = "difference"
         return False
 

@@ -89,18 +89,25 @@ class Overlay:
         if session.show != PICTURE and session.mode in ("single", "split"):
             lines.append((session.show.replace("_", " "), ACCENT))
         elif session.mode in ("difference", "flip"):
-            other = "B" if session.against == "b" else "the reference"
-            lines.append((f"{'FLIP' if session.mode == 'flip' else 'difference'} from {other}", ACCENT))
+            lines.append((f"{'FLIP' if session.mode == 'flip' else 'difference'} from {self._other()}", ACCENT))
         if pictures.moving:
-            lines.append((f"{1e3 / max(pictures.frame_ms, 1e-3):.0f} frames/s at {pictures.scale:.0%}", DIM))
+            rate = 1e3 / max(pictures.frame_ms, 1e-3)
+            lines.append((f"{rate:.{0 if rate >= 10 else 1}f} frames/s at {pictures.scale:.0%}", DIM))
+        elif session.show != PICTURE and session.mode in ("single", "split"):
+            lines.append(("one ray through each pixel's centre", DIM))
         else:
             ms = sum(picture.medians().values())
-            text = f"{picture.done} of {picture.total} samples" if picture.total else "..."
-            lines.append((text + (f", {_time(ms)} each" if ms else ""), DIM))
+            if picture.total:
+                text = f"{picture.done} of {picture.total} samples"
+                lines.append((text + (f", {_time(ms)} each" if ms else ""), DIM))
         if error := pictures.measure.errors.get(side):
             flip = f"FLIP {error.flip:.3f}   " if error.flip is not None else ""
             lines.append((f"{flip}{error.psnr:.1f} dB   relMSE {error.rel_mse:.2g}", ACCENT))
         return lines
+
+    def _other(self) -> str:
+        """What maps are against."""
+        return "B" if self._session.against == "b" else "the reference"
 
     def _labels(self, paint: Any, width: int) -> None:
         session, pictures, gap = self._session, self._pictures, 10 * self._scale
@@ -122,7 +129,8 @@ class Overlay:
         rows = len(legend.rows) if isinstance(legend, views.Swatches) else 1
         tall = line * (rows + (2 if isinstance(legend, views.Scale) else 1)) + 12 * s
         x, y, pad = 10 * s, height - 10 * s - tall - self._below(), 8 * s
-        heading = session.show if session.mode in ("single", "split") else session.mode
+        heading = session.show if session.mode in ("single", "split") else f"{session.mode} from {self._other()}"
+        heading = heading.replace("flip", "FLIP")
         wide = 250 * s
         if isinstance(legend, views.Note):
             wide = max(wide, imgui.calc_text_size(legend.text).x + 2 * pad)

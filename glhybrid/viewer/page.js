@@ -4,7 +4,7 @@ const canvas = document.getElementById("view"), state = document.getElementById(
 const paint = canvas.getContext("2d", { alpha: false });
 const token = new URLSearchParams(location.search).get("token") || "";
 const scheme = location.protocol === "https:" ? "wss" : "ws";
-let socket = null, moved = null;
+let socket = null, moved = null, ended = "";
 
 const KEYS = {
   ArrowLeft: "left_arrow", ArrowRight: "right_arrow", ArrowUp: "up_arrow", ArrowDown: "down_arrow",
@@ -50,20 +50,24 @@ function order(message) {
     canvas.style.cursor = { hand: "pointer", text: "text", resize_ew: "ew-resize", resize_ns: "ns-resize" }[message.cursor] || "default";
   }
   if (message.clipboard !== undefined && navigator.clipboard) navigator.clipboard.writeText(message.clipboard).catch(() => {});
-  if (message.bye !== undefined) tell(message.bye);
+  if (message.bye !== undefined) tell(ended = `${message.bye}; reload the page to look again`);
 }
 
 function connect() {
   socket = new WebSocket(`${scheme}://${location.host}/events?token=${encodeURIComponent(token)}`);
   socket.binaryType = "arraybuffer";
   let opened = false;
-  socket.onopen = () => { opened = true; tell(""); resize(); };
+  socket.onopen = () => { opened = true; ended = ""; tell(""); resize(); };
   socket.onmessage = (event) => {
     if (typeof event.data === "string") return order(JSON.parse(event.data));
     const png = new Uint8Array(event.data, 0, 1)[0] === 0x89;
     show(new Blob([event.data], { type: png ? "image/png" : "image/jpeg" }));
   };
-  socket.onclose = () => { if (!state.textContent) tell(opened ? "the viewer has ended" : "the viewer does not answer"); };
+  socket.onclose = () => {
+    if (ended) return tell(ended);
+    tell(opened ? "the line is broken; connecting again ..." : "the viewer does not answer; trying again ...");
+    setTimeout(connect, 1000);
+  };
 }
 
 function resize() { send("size", window.innerWidth, window.innerHeight); }

@@ -246,8 +246,9 @@ class Panels:
             count = min(len(r) for r in rows)
             history = np.sum([r[len(r) - count :] for r in rows], axis=0, dtype=np.float32)
             if count > 1:
-                text, top = f"{float(np.median(history)):.2f} ms", float(history.max()) * 1.15
-                imgui.plot_lines(f"##history {side}", history, 0, text, 0.0, top, (-1, 42 * self._scale))
+                top = float(history.max()) * 1.6  # room for the text, which stands at the top
+                text = f"median {float(np.median(history)):.2f} ms of {count} samples"
+                imgui.plot_lines(f"##history {side}", history, 0, text, 0.0, top, (-1, 48 * self._scale))
             if error := self._pictures.measure.errors.get(side):
                 flip = f"   FLIP {error.flip:.4f}" if error.flip is not None else ""
                 imgui.text(f"{side.upper()}  {total:.1f} ms{flip}")

@@ -49,10 +49,11 @@ class Turns:
     """
 
     def __init__(
-        self, surface: Surface, gui: Gui, controls: Controls, take: Callable[[Event], None],
+        self, surface: Surface, controls: Controls, take: Callable[[Event], None],
         present: Callable[[], None], stale: Callable[[], bool],
     ) -> None:  # fmt: skip
-        self._surface, self._gui, self._controls = surface, gui, controls
+        self._surface, self._controls = surface, controls
+        self.gui: Gui
         self._take, self._present, self._stale = take, present, stale
         self.pending: list[Event] = []
         self.job: Job | None = None
@@ -80,9 +81,9 @@ class Turns:
         if controls.dragging:
             return False
         if isinstance(event, Button | Wheel):
-            return self._gui.wants_pointer or controls.pointer[0] >= controls.size[0]
+            return self.gui.wants_pointer or controls.pointer[0] >= controls.size[0]
         if isinstance(event, Key):
-            return not event.down or self._gui.wants_keys
+            return not event.down or self.gui.wants_keys
         return isinstance(event, Move | Focus)
 
     def progress(self, what: str, done: int, total: int) -> None:

@@ -5,6 +5,7 @@ glfw reports through callbacks; they only append to a list, so nothing runs in t
 
 import logging
 import os
+import sys
 from typing import Any, Self
 
 from glhybrid import egl
@@ -75,7 +76,7 @@ class Window:
             )
         if device == "software":
             os.environ["LIBGL_ALWAYS_SOFTWARE"] = "1"  # Mesa reads it when the context is made
-        glfw: Any = need("glfw", "viewer")
+        glfw = _load_glfw()
         self._glfw = glfw
         glfw.ERROR_REPORTING = "ignore"
         self._failure = ""
@@ -205,6 +206,20 @@ class Window:
             self._closed = True
             self.context.close()
             self._glfw.terminate()
+
+
+def _load_glfw() -> Any:
+    """imgui-bundle comes first: it brings a glfw for X11, needs that one, and would take any that is there before.
+
+    On a Wayland desktop it works by Xwayland; where there is none, glfw's own for Wayland is loaded beside it.
+    """
+    need("imgui_bundle", "viewer")
+    if os.environ.get("WAYLAND_DISPLAY") and not os.environ.get("DISPLAY"):
+        os.environ.pop("PYGLFW_LIBRARY", None)  # imgui-bundle has set it to its own, and imported it
+        os.environ["PYGLFW_LIBRARY_VARIANT"] = "wayland"
+        for name in [name for name in sys.modules if name.partition(".")[0] == "glfw"]:
+            del sys.modules[name]
+    return need("glfw", "viewer")
 
 
 def _keys(glfw: Any) -> dict[int, str]:

@@ -13,6 +13,7 @@ from glhybrid import Renderer, Settings, cli, relight
 from glhybrid.context import Context
 from glhybrid.viewer.app import Viewer
 from glhybrid.viewer.events import LEFT, MIDDLE, RIGHT, Button, Key, Move, Wheel
+from glhybrid.viewer.panels import WIDTH
 
 PICTURE_SIZE = (96, 64)
 COMMON = cli.Common()
@@ -263,3 +264,26 @@ def test_a_clip_plays_and_stops_at_renders_picture(open_viewer: Open, context: C
     command = viewer.session.command(viewer.picture_size)
     assert "--time" in command and "--clip 0" in command
     assert np.array_equal(plain(viewer), rendered(viewer, context, command))
+
+
+def test_on_a_display_of_two_pixels_a_point(open_viewer: Open, context: Context) -> None:
+    """Text and panel are twice as large, the picture is still `render`'s, and the pointer picks what is under it."""
+    viewer = open_viewer("yard", size=(3 * WIDTH, 200))
+    viewer.settle()
+    assert viewer.picture_size == (3 * WIDTH, 200)
+    before = viewer.gui.imgui.get_style().frame_padding.x
+    viewer.surface.scale = 2.0  # type: ignore[attr-defined]  # the window is moved to another display
+    viewer.settle()
+    style = viewer.gui.imgui.get_style()
+    assert style.frame_padding.x == 2 * before and style.font_scale_dpi == 2
+    assert viewer.picture_size == (2 * WIDTH, 200)
+    with Renderer(context=context) as renderer:
+        want = renderer.render(viewer.session.scene, size=viewer.picture_size, aovs=("instance_id",))
+    assert np.array_equal(plain(viewer), want.rgb)
+    width = viewer.picture_size[0]
+    for x in (width // 2 - 30, width // 2 + 30):
+        drag(viewer, LEFT, (x, 120), (x, 120))
+        assert viewer.session.picked.instance == want["instance_id"][120, x]
+    viewer.surface.feed(Move(width + 40, 60))  # type: ignore[attr-defined]
+    viewer.tick()
+    assert viewer.gui.wants_pointer  # that is the panel there

@@ -126,6 +126,46 @@ def test_frames_come_and_input_goes(served: tuple[Viewer, Web], context: Context
     assert np.array_equal(got[-20:, :width], want[-20:])
 
 
+def test_another_browser_takes_over_and_a_broken_line_is_mended(served: tuple[Viewer, Web]) -> None:
+    viewer, surface = served
+
+    async def frame(socket: Any) -> bytes:
+        while True:
+            message = await asyncio.wait_for(socket.receive(), 30)
+            assert message.type in (aiohttp.WSMsgType.BINARY, aiohttp.WSMsgType.TEXT), message
+            if message.type == aiohttp.WSMsgType.BINARY:
+                await socket.send_str('["ack"]')
+                return bytes(message.data)
+
+    async def bye(socket: Any) -> str:
+        """What is said before the line is closed."""
+        said = ""
+        while True:
+            message = await asyncio.wait_for(socket.receive(), 30)
+            if message.type == aiohttp.WSMsgType.TEXT:
+                said = json.loads(message.data).get("bye", said)
+            elif message.type != aiohttp.WSMsgType.BINARY:
+                return said
+
+    async def clients() -> str:
+        async with aiohttp.ClientSession() as session:
+            first = await session.ws_connect(address(surface), max_msg_size=0)
+            await frame(first)
+            second = await session.ws_connect(address(surface), max_msg_size=0)
+            said = await bye(first)
+            await second.send_str('["size", 500, 200]')
+            while pixels(await frame(second)).shape != (200, 500, 3):
+                pass
+            assert second._response.connection is not None
+            second._response.connection.transport.abort()  # as where a network goes away: no word of it
+            third = await session.ws_connect(address(surface), max_msg_size=0)
+            assert pixels(await frame(third)).shape == (200, 500, 3)  # at once, though nothing has moved
+            await third.close()
+        return said
+
+    assert "taken over" in drive(viewer, clients)
+
+
 def test_messages_are_read_strictly() -> None:
     good = {
         '["move", 3, 4.5]': Move(3, 4.5), '["button", 0, true]': Button(0, True), '["wheel", 0, -1]': Wheel(0, -1),

@@ -85,3 +85,19 @@ def test_a_display_without_opengl_43(display: str) -> None:
     pytest.importorskip("glfw", reason="the extra `viewer` is not installed")
     done = run_view(DISPLAY=display, MESA_GL_VERSION_OVERRIDE="3.3", LIBGL_ALWAYS_SOFTWARE="1")
     assert done.returncode == 3 and "4.3" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_places_in_points_are_told_in_pixels() -> None:
+    """As on Wayland and macOS, whose windows count points: here twice as many pixels across, and 1.5 times as high."""
+    from types import SimpleNamespace
+
+    pytest.importorskip("imgui_bundle", reason="the extra `viewer` is not installed")
+    from glhybrid.viewer.window import Window
+
+    window = object.__new__(Window)
+    window._window = None
+    window._glfw = SimpleNamespace(
+        get_window_size=lambda _: (100, 80), get_framebuffer_size=lambda _: (200, 120),
+        get_window_content_scale=lambda _: (2.0, 1.5),
+    )  # fmt: skip
+    assert window._pixels(50, 40) == (100, 60) and window.size == (200, 120) and window.scale == 2.0
