@@ -155,10 +155,14 @@ class Viewer:
         self.turns.presented = True
         canvas = self._get_canvas()
         canvas.clear(0.09, 0.092, 0.1, 1.0)
-        self.gui.begin(seconds)
-        self.overlay.draw(self.picture_size, self._ramp, self.turns.job)
-        self.panels.draw(self.surface.size)
-        self.gui.draw(canvas)
+        self.turns.presenting = True
+        try:
+            self.gui.begin(seconds)
+            self.overlay.draw(self.picture_size, self._ramp, self.turns.job)
+            self.panels.draw(self.surface.size)
+            self.gui.draw(canvas)
+        finally:
+            self.turns.presenting = False
         caption = f"{self.session.scene.name} - glhybrid"
         if caption != self._caption:
             self._caption = caption

@@ -58,6 +58,7 @@ class Turns:
         self.pending: list[Event] = []
         self.job: Job | None = None
         self.presented = False  # whether there is anything to see yet
+        self.presenting = False  # whether a frame is being made now
         self._software = surface.context.device.software
         self._looked = 0.0
 
@@ -87,7 +88,9 @@ class Turns:
         return isinstance(event, Move | Focus)
 
     def progress(self, what: str, done: int, total: int) -> None:
-        """How far a preparation is. Raises Cancelled."""
+        """How far a preparation is. Raises Cancelled. In the middle of a frame nothing comes of it."""
+        if self.presenting:
+            return
         now = clock.monotonic()
         job = self.job = self.job or Job(what, done, total, now, at_once=not self.presented)
         changed, job.what, job.done, job.total = job.what != what or now == job.since, what, done, total
