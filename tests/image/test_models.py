@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from bars import BARS
 from compare import edges
-from test_features import sample
+from texture_oracle import linear, sampled, transformed
 
 import glhybrid
 from glhybrid.image import NO_ID
@@ -73,13 +73,12 @@ def surfaces(scene: Scene, frame: Any) -> "tuple[dict[str, F64], NDArray[np.bool
                     return np.ones((1, 4))
                 values = piece.uv1 if texture.uv_set == 1 else piece.uv0  # noqa: B023
                 uv = mixed(values) if values is not None else np.zeros((len(index), 2))  # noqa: B023
-                if texture.uv_transform is not None:
-                    uv = uv @ texture.uv_transform[:, :2].T + texture.uv_transform[:, 2]
+                uv = transformed(texture, uv)
                 texels = texture.image.texels
                 if texture.nearest:
                     grid = uv * texels.shape[1::-1]
                     unsure[pixels] |= np.abs(grid - np.round(grid)).min(-1) < 1e-3  # noqa: B023
-                return sample(texels, uv, (texture.wrap_u, texture.wrap_v), texture.nearest, srgb)
+                return sampled(texture, linear(texels, srgb), uv)
 
             color = np.array(material.base_color) * look("base_color", True)
             if piece.color is not None:
