@@ -126,7 +126,7 @@ Past look_back(ivec2 px, Guide g, Near near) {
 #endif
     // Only one of the distances that a lobe sees moves like this. Others drift, by up to as much as the image moves on its
     // surface, and must not drift further than a share of what the lobe blurs.
-    past.frames = min(past.frames, 1.0 + 0.3 * near.extent / (pixel_width(g.depth) * max(distance(at, pixel_before(was)), 1e-3)));
+    past.frames = min(past.frames, 1.0 + 0.1 * near.extent / (pixel_width(g.depth) * max(distance(at, pixel_before(was)), 1e-3)));
     ivec2 corner = ivec2(floor(at));
     vec2 f = at - floor(at);
     float weight = 0.0;
