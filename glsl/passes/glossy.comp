@@ -5,8 +5,10 @@
 // else is left. Those that end up under the surface count, as nothing. A mirror takes one ray. Where the sky has lamps, each
 // ray has a second one beside it, to where the sky is bright, and both are weighed by the balance heuristic (Veach 1997).
 #include "lib/gbuffer.glsl"
-#include "lib/environment_sample.glsl"
 #include "lib/glossy.glsl"
+#if USE_SKY_SAMPLES
+#include "lib/environment_sample.glsl"
+#endif
 #include "lib/tile.glsl"
 
 layout(rgba32f) uniform image2D out_reflection;    // radiance; distance, the harmonic mean (inf: sky, 0: no ray)
