@@ -117,6 +117,7 @@ class Program:
         self._pace, self._bands = pace or Pace(), Bands()
         self._first_row: Any = None  # of tiles; stays 0 unless drawn in bands
         self._bind: dict[str, Callable[[Any], None]] = {}
+        self._buffers: list[tuple[str, int]] = []  # and their units
         samplers = images = blocks = 0
         for member in program:
             handle = program[member]
@@ -131,10 +132,10 @@ class Program:
                         unit = BUFFER_UNITS[buffer]
                         context.raw.glProgramUniform1i(program.glo, handle.location + k, unit)
                         if buffer not in unread:
-                            self._bind[buffer] = self._sampler_binder(unit)
+                            self._buffers.append((buffer, unit))
                 elif member in BUFFER_UNITS:
                     context.raw.set_sampler(program, member, BUFFER_UNITS[member])
-                    self._bind[member] = self._sampler_binder(BUFFER_UNITS[member])
+                    self._buffers.append((member, BUFFER_UNITS[member]))
                 elif kind in _SAMPLER_TYPES:
                     context.raw.set_sampler(program, member, samplers)
                     self._bind[member] = self._sampler_binder(samplers)
@@ -151,18 +152,22 @@ class Program:
     @property
     def resources(self) -> frozenset[str]:
         """Names of everything the linked program reads or writes."""
-        return frozenset(self._bind)
+        return frozenset(self._bind).union(name for name, _ in self._buffers)
 
     # `.mglo` is what moderngl's own methods call, after a Python call each: thirty of those in a frame are felt.
     def _block_binder(self, member: str, unit: int) -> Callable[[Any], None]:
-        limit = self._context.limits.storage_block_bytes
+        limit, checked = self._context.limits.storage_block_bytes, None
 
         def bind(buffer: Any) -> None:
-            if buffer.size > limit:  # what is behind the limit would read as zeros, and nothing would say so
+            nonlocal checked
+            if (
+                buffer is not checked and buffer.size > limit
+            ):  # what is behind the limit would read as zeros, and nothing would say so
                 raise GeometryError(
                     f"{self.name}: {member} holds {buffer.size} bytes, this device's storage blocks {limit}: "
                     "use a device with a larger limit (glhybrid doctor lists them) or a smaller scene or picture"
                 )
+            checked = buffer
             buffer.mglo.bind_to_storage_buffer(unit, 0, -1)
 
         return bind
@@ -177,7 +182,7 @@ class Program:
         return bind
 
     def _image_binder(self, unit: int) -> Callable[[Any], None]:
-        return lambda texture: texture.bind_to_image(unit, read=True, write=True)
+        return lambda texture: texture.mglo.bind(unit, True, True, 0, 0)  # read and written, level 0, its own format
 
     def _uniform_setter(self, handle: Any) -> Callable[[Any], None]:
         def assign(value: Any) -> None:
@@ -187,10 +192,18 @@ class Program:
 
     def bind(self, resources: Mapping[str, Any]) -> None:
         """Binds what the program reads; whatever it does not read is left alone. Nothing may be missing."""
-        if missing := self._bind.keys() - resources.keys():
-            raise ShaderError(f"{self.name}: nothing given for {sorted(missing)}")
-        for name, bind in self._bind.items():
-            bind(resources[name])
+        bound = self._context.raw.buffer_textures
+        try:
+            for name, unit in self._buffers:
+                texture = resources[name]
+                if bound.get(unit) != texture.glo:
+                    texture.bind(unit)
+            for name, bind in self._bind.items():
+                bind(resources[name])
+        except KeyError:
+            if missing := self.resources - resources.keys():
+                raise ShaderError(f"{self.name}: nothing given for {sorted(missing)}") from None
+            raise
 
     def dispatch(
         self, resources: Mapping[str, Any], size: tuple[int, int], group: tuple[int, int] = (8, 8), wait: bool = True
