@@ -67,7 +67,7 @@ class Hand:
 
     def press(self) -> None:
         """From now on the pointer drags."""
-        self._began, self._next = time.perf_counter(), 0
+        self._began, self._next, self._waiting = time.perf_counter(), 0, None
 
     def release(self) -> None:
         self._began = self._waiting = None
@@ -117,6 +117,7 @@ def measure(viewer: "Viewer", hand: Hand, seconds: float = 5.0, rests: int = 7) 
     hand.press()
     wait(min(seconds, 2.0))
     tick(lambda: len(hand.answers) >= WARM_UP)
+    hand.press()  # what waits since a frame of before is not counted
     hand.answers.clear()
     shares, start = [], time.perf_counter()
     while viewer.running and time.perf_counter() - start < seconds:
