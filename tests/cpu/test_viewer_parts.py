@@ -174,7 +174,7 @@ def test_the_budget_shrinks_at_once_and_grows_with_room() -> None:
     assert grown == max(s for s in SCALES if 96 * s**2 <= 75)
     budget.note(1e6, 1.0)
     assert budget.next() == SCALES[-1]
-    assert scaled((1000, 3), 0.125) == (125, 1)
+    assert scaled((1000, 3), 0.125) == (125, 2) and scaled((512, 300), 0.125) == (65, 38)  # no powers of two
 
 
 def _clip(seconds: float) -> Animation:
