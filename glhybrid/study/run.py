@@ -59,7 +59,6 @@ def run(
     picture.require_flip()
     only = sweep.check_names(only)
     scene_study.effort(quick, True, size, samples)  # refuses a size
-    store.prepare(output)
     if parts is None:
         parts = PAPER_PARTS if paper else PARTS
     if paper and size is None:
@@ -67,6 +66,7 @@ def run(
     scenes = _load(names or (papers.SCENES if paper else QUICK_SCENES if quick else SCENES), load)
     for scene in scenes.values():
         choose_camera(scene, camera)
+    store.prepare(output)
     with Renderer(device=device) as renderer:
         spent = scene_study.effort(quick, renderer.context.device.software, size, samples)
         study, meter = Study(_machine(renderer, spent.size, command)), Meter(progress, lines)
