@@ -65,13 +65,18 @@ def test_motion_of_a_frame_does_not_depend_on_the_run(
     assert np.abs(a).max() > 0.3
 
 
+def heed_interrupts() -> None:
+    """Shells start what runs in the background deaf to SIGINT, and its children inherit that."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
 @pytest.mark.slow
 def test_a_killed_run_leaves_whole_frames(models: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "glhybrid", "render", str(models / "Fox/Fox.glb"), "--frames", "0:400", "--size",
                "64x48", "--aa", "1", "--quiet", "-o", str(tmp_path / "{frame:04d}.png")]  # fmt: skip
     for stop in (signal.SIGKILL, signal.SIGINT):
         before = len(list(tmp_path.glob("[0-9]*.png")))
-        process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        process = subprocess.Popen(command, stderr=subprocess.DEVNULL, preexec_fn=heed_interrupts)
         deadline = time.monotonic() + 60
         while len(list(tmp_path.glob("[0-9]*.png"))) < before + 5 and time.monotonic() < deadline:
             time.sleep(0.02)
