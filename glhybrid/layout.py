@@ -345,18 +345,20 @@ CHANNELS: dict[str, Channel] = {
             for frame in ("even", "odd")
             for name, parts, kind, form, meaning in (
                 ("guide", 4, "u4", "rgba32ui", "normal, depth along the view axis, row of records, roughness"),
-                ("reflection_history", 4, "f4", "rgba32f", "mean of all frames; over how many m it changes"),
-                ("reflection_counts", 1, "f2", "r16f", "rays"),
-                ("reflection_level", 2, "f4", "rg32f", "luminance about each pixel, its variance"),
-                ("reflection_coat_history", 4, "f4", "rgba32f", "the same of the clearcoat"),
-                ("reflection_coat_counts", 1, "f2", "r16f", ""),
-                ("reflection_coat_level", 2, "f4", "rg32f", ""),
-                ("occlusion_history", 4, "f4", "rgba32f", "the same of the open share of the sky"),
-                ("occlusion_counts", 1, "f2", "r16f", ""),
-                ("occlusion_level", 2, "f4", "rg32f", ""),
-                ("visibility_history", 4, "f4", "rgba32f", "the same of lights, a layer a light"),
-                ("visibility_counts", 1, "f2", "r16f", ""),
-                ("visibility_level", 2, "f4", "rg32f", ""),
+                *(
+                    (f"{signal}_{kept}", parts, "f4" if parts > 1 else "f2", form, f"{what}: {meaning}")
+                    for signal, what in (
+                        ("reflection", "reflections"),
+                        ("reflection_coat", "those of the clearcoat"),
+                        ("occlusion", "the open share of the sky"),
+                        ("visibility", "of lights, a layer a light"),
+                    )
+                    for kept, parts, form, meaning in (
+                        ("history", 4, "rgba32f", "mean of all frames; over how many m it changes"),
+                        ("counts", 1, "r16f", "rays"),
+                        ("level", 2, "rg32f", "luminance about each pixel, its variance"),
+                    )
+                ),
             )
         ),
         Channel("denoise_moved", 4, "f4", "rgba32f", "how far the point has come since the frame before, m"),

@@ -164,5 +164,7 @@ def test_no_variant_leaks_and_all_find_the_same(
                 assert found.hit.all() and found.blocked.all(), change
                 if context.device.software:
                     assert np.array_equal(found.t, first.t) and np.array_equal(found.triangle, first.triangle), change
-                # Other compilers contract sums as they please, and an edge has a triangle on either side.
+                # Other compilers contract sums as they please, and an edge has a triangle on either side: a neighbour then.
                 assert np.allclose(found.t, first.t, rtol=1e-6, atol=0), change
+                one, other = index[first.triangle], index[found.triangle]
+                assert (one[:, :, None] == other[:, None, :]).any((1, 2)).all(), change
