@@ -94,6 +94,9 @@ class SceneStudy:
         self._describe()
         try:
             self._cells()
+        except KeyboardInterrupt:
+            self._settle()  # what was measured is compared yet, and kept; asked a second time, it is not
+            raise
         finally:
             if self._comparing is not None:
                 self._comparing.close()

@@ -25,6 +25,7 @@ from glhybrid.settings import Settings
 from glhybrid.study import direct, measure, reference, run, scene_study, stability
 from glhybrid.study.comparing import Comparing
 from glhybrid.study.measure import Clock
+from glhybrid.study.scene_study import SceneStudy
 
 if TYPE_CHECKING:
     from glhybrid.context import Context
@@ -94,8 +95,13 @@ def test_a_study_end_to_end_and_again(tmp_path: Path, monkeypatch: pytest.Monkey
     assert [r["frame_ms"] for r in second.rows] == [r["frame_ms"] for r in first.rows]
 
 
-def test_a_stopped_study_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, context: "Context") -> None:
-    """Killed in its third cell: the first two are kept, and nothing is half-written."""
+@pytest.mark.parametrize("processes", [0, 2])
+def test_a_stopped_study_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, context: "Context", processes: int
+) -> None:
+    """Stopped in its third cell: the first two are kept, and nothing is half-written; also where pictures are compared
+    by processes, which may not be done with them."""
+    monkeypatch.setattr(SceneStudy, "_processes", processes)
     real, calls = measure.time_frames, []
 
     def stopping(*args: object) -> measure.Times:
