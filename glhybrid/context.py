@@ -18,6 +18,7 @@ from typing import Any, Literal, Protocol, Self
 import moderngl
 
 from glhybrid import host
+from glhybrid.bindings import Bindings
 from glhybrid.egl import SURFACELESS, EglContext, EglDevice, devices, has_surfaceless, preference
 from glhybrid.errors import DeviceError, SettingError, unknown
 from glhybrid.gl import GL, GL_RENDERER, GL_VENDOR, GL_VERSION
@@ -27,6 +28,8 @@ log = logging.getLogger("glhybrid")
 
 REQUIRED_VERSION = (4, 3)
 _BETTER_VERSIONS = ((4, 6), (4, 5))  # Mesa gives its best whatever was asked for, NVIDIA gives just that
+TEXTURES = 16  # units for them: what a compute shader has at least; buffer textures come behind
+MOST_BLOCKS = 64  # more than there are names
 DEVICE_NAMES = ("auto", "gpu", "software", "egl:N", "cuda:N", "osmesa")
 _SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "swr (", "software rasterizer", "swiftshader", "basic render")
 _ELSEWHERE = "use --device auto, or see `glhybrid doctor`"
@@ -127,6 +130,7 @@ class Context:
             self.gl: moderngl.Context = moderngl.create_context(require=430, standalone=True, **settings)
             self.limits = _limits(self.raw)
             _require(self.limits, self.device)
+            self.bindings = Bindings(min(self.limits.storage_blocks, MOST_BLOCKS), TEXTURES, self.limits.image_units)
             _canary(self.gl, self.device)
         except Exception as error:
             native.release()

@@ -9,7 +9,7 @@ import numpy as np
 
 from glhybrid import layout, techniques
 from glhybrid.context import Context
-from glhybrid.scene import F64, Scene
+from glhybrid.scene import Scene
 from glhybrid.settings import Settings
 from glhybrid.view import View
 
@@ -25,9 +25,8 @@ class FrameConstants:
             name: self.rows[name][0] if self.rows[name].ndim > 1 else self.rows[name]
             for name in self.rows.dtype.names or ()
         }
-        self._view: View | None = None
-        self._previous: tuple[F64, F64] | None = None
-        self._previous_axis: tuple[F64, F64] | None = None
+        self._view: View | None = None  # of the look before
+        self._still = False  # the view before that was the same
         self.under(scene, settings)
 
     def under(self, scene: Scene, settings: Settings) -> None:
@@ -58,27 +57,18 @@ class FrameConstants:
 
     def look(self, view: View, light_count: int) -> None:
         """The fields of a camera, and where the one before was: in this frame's world, whose origin may be another."""
-        clip, previous = view.clip_from_world, self._previous
-        views = self._views
-        if previous is None:
-            before = clip
-        elif previous[1] is view.origin:
-            before = previous[0]
-        else:
-            before = previous[0].copy()
-            before[:, 3] += previous[0][:, :3] @ (view.origin - previous[1])
-        views["previous_clip_from_world"][...] = before.T  # columns first, as GLSL has it
-        axis, eye = (view.forward, view.eye) if self._previous_axis is None else self._previous_axis
-        if previous is not None:
-            eye = eye + previous[1] - view.origin
-        views["previous_depth"][...] = (*axis, -(axis @ eye))
-        self._previous_axis = view.forward, view.eye
-        self._previous = (clip, view.origin)
         self.put(light_first=0, light_end=light_count, light_count=light_count)
-        if self._view is view:
-            return
-        self._view = view
-        views["clip_from_world"][...] = clip.T
+        before = self._view or view
+        if view is before and self._still:
+            return  # all there since the look before
+        self._view, self._still = view, view is before
+        views, clip, eye = self._views, before.clip_from_world, before.eye
+        if (moved := view.origin - before.origin).any():
+            clip, eye = clip.copy(), eye - moved
+            clip[:, 3] += clip[:, :3] @ moved
+        views["previous_clip_from_world"][...] = clip.T  # columns first, as GLSL has it
+        views["previous_depth"][...] = (*before.forward, -(before.forward @ eye))
+        views["clip_from_world"][...] = view.clip_from_world.T
         views["eye_ws"][...] = view.eye
         views["right_ws"][...] = view.right
         views["up_ws"][...] = view.up

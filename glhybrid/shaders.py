@@ -16,7 +16,7 @@ from typing import Any
 import moderngl
 
 from glhybrid import layout
-from glhybrid.context import Context
+from glhybrid.context import TEXTURES, Context
 from glhybrid.errors import GeometryError, ShaderError
 from glhybrid.gl import BufferTexture
 from glhybrid.load.builtin import data_folder
@@ -33,7 +33,7 @@ BUFFERS = (  # as in lib/buffers.glsl
     "triangles", "vertices",
 )  # fmt: skip
 # Their texture units, the same in all programs, so that they need not be bound anew for each of them.
-BUFFER_UNITS = {name: 16 + k for k, name in enumerate(BUFFERS)}
+BUFFER_UNITS = {name: TEXTURES + k for k, name in enumerate(BUFFERS)}
 _OPTIONAL = {  # those that not every scene has
     "attributes": "USE_EXTRA_ATTRIBUTES", "tangents": "USE_TANGENTS", "textures": "USE_TEXTURES",
     "texture_levels": "USE_TEXTURES",
@@ -116,15 +116,22 @@ class Program:
         self._context = context
         self._pace, self._bands = pace or Pace(), Bands()
         self._first_row: Any = None  # of tiles; stays 0 unless drawn in bands
-        self._bind: dict[str, Callable[[Any], None]] = {}
+        self._bindings = context.bindings
         self._buffers: list[tuple[str, int]] = []  # and their units
-        samplers = images = blocks = 0
+        self._blocks: list[tuple[str, int]] = []
+        self._samplers: list[tuple[str, int]] = []
+        self._images: list[tuple[str, int]] = []
+        self._uniforms: list[tuple[str, Any]] = []
+        self._given: dict[str, Any] = {}  # values of uniforms
+        bindings = context.bindings
+        blocks: set[int] = set()  # binding points taken
+        units: set[int] = set()
+        images: set[int] = set()
         for member in program:
             handle = program[member]
             if isinstance(handle, moderngl.StorageBlock):
-                handle.binding = blocks
-                self._bind[member] = self._block_binder(member, blocks)
-                blocks += 1
+                handle.binding = bindings.blocks.place(member, blocks)
+                self._blocks.append((member, handle.binding))
             elif isinstance(handle, moderngl.Uniform):
                 kind = handle.gl_type  # type: ignore[attr-defined]  # missing in moderngl's stub
                 if member == "buffers":
@@ -137,73 +144,72 @@ class Program:
                     context.raw.set_sampler(program, member, BUFFER_UNITS[member])
                     self._buffers.append((member, BUFFER_UNITS[member]))
                 elif kind in _SAMPLER_TYPES:
-                    context.raw.set_sampler(program, member, samplers)
-                    self._bind[member] = self._sampler_binder(samplers)
-                    samplers += 1
+                    self._samplers.append((member, bindings.textures.place(member, units)))
+                    context.raw.set_sampler(program, *self._samplers[-1])
                 elif kind in _IMAGE_TYPES:
-                    context.raw.set_sampler(program, member, images)
-                    self._bind[member] = self._image_binder(images)
-                    images += 1
+                    self._images.append((member, bindings.images.place(member, images)))
+                    context.raw.set_sampler(program, *self._images[-1])
                 elif member == "tile_row":
                     self._first_row = handle
                 else:
-                    self._bind[member] = self._uniform_setter(handle)
+                    self._uniforms.append((member, handle))
 
     @property
     def resources(self) -> frozenset[str]:
         """Names of everything the linked program reads or writes."""
-        return frozenset(self._bind).union(name for name, _ in self._buffers)
-
-    # `.mglo` is what moderngl's own methods call, after a Python call each: thirty of those in a frame are felt.
-    def _block_binder(self, member: str, unit: int) -> Callable[[Any], None]:
-        limit, checked = self._context.limits.storage_block_bytes, None
-
-        def bind(buffer: Any) -> None:
-            nonlocal checked
-            if (
-                buffer is not checked and buffer.size > limit
-            ):  # what is behind the limit would read as zeros, and nothing would say so
-                raise GeometryError(
-                    f"{self.name}: {member} holds {buffer.size} bytes, this device's storage blocks {limit}: "
-                    "use a device with a larger limit (glhybrid doctor lists them) or a smaller scene or picture"
-                )
-            checked = buffer
-            buffer.mglo.bind_to_storage_buffer(unit, 0, -1)
-
-        return bind
-
-    def _sampler_binder(self, unit: int) -> Callable[[Any], None]:
-        def bind(texture: Any) -> None:
-            if isinstance(texture, BufferTexture):
-                texture.bind(unit)
-            else:
-                texture.mglo.use(unit)
-
-        return bind
-
-    def _image_binder(self, unit: int) -> Callable[[Any], None]:
-        return lambda texture: texture.mglo.bind(unit, True, True, 0, 0)  # read and written, level 0, its own format
-
-    def _uniform_setter(self, handle: Any) -> Callable[[Any], None]:
-        def assign(value: Any) -> None:
-            handle.value = value
-
-        return assign
+        kinds: tuple[list[tuple[str, Any]], ...] = (
+            self._buffers, self._blocks, self._samplers, self._images, self._uniforms,
+        )  # fmt: skip
+        return frozenset(name for kind in kinds for name, _ in kind)
 
     def bind(self, resources: Mapping[str, Any]) -> None:
-        """Binds what the program reads; whatever it does not read is left alone. Nothing may be missing."""
-        bound = self._context.raw.buffer_textures
+        """Binds what the program reads; whatever it does not read is left alone. Nothing may be missing.
+
+        `.mglo` is what moderngl's own methods call, after a Python call each: thirty of those in a frame are felt.
+        """
+        bindings = self._bindings
+        if not bindings.kept:
+            bindings.forget()
+        buffers, given = self._context.raw.buffer_textures, self._given
+        blocks, textures, images = bindings.blocks.bound, bindings.textures.bound, bindings.images.bound
         try:
             for name, unit in self._buffers:
                 texture = resources[name]
-                if bound.get(unit) != texture.glo:
+                if buffers.get(unit) != texture.glo:
                     texture.bind(unit)
-            for name, bind in self._bind.items():
-                bind(resources[name])
+            for name, unit in self._blocks:
+                buffer = resources[name]
+                if blocks[unit] is not buffer:
+                    self._check_block(name, buffer)
+                    buffer.mglo.bind_to_storage_buffer(unit, 0, -1)
+                    blocks[unit] = buffer
+            for name, unit in self._samplers:
+                texture = resources[name]
+                if textures[unit] is not texture:
+                    texture.bind(unit) if isinstance(texture, BufferTexture) else texture.mglo.use(unit)
+                    textures[unit] = texture
+            for name, unit in self._images:
+                image = resources[name]
+                if images[unit] is not image:
+                    image.mglo.bind(unit, True, True, 0, 0)  # read and written, level 0, its own format
+                    images[unit] = image
+            for name, uniform in self._uniforms:
+                value = resources[name]
+                if given.get(name) is not value:
+                    uniform.value = given[name] = value
         except KeyError:
             if missing := self.resources - resources.keys():
                 raise ShaderError(f"{self.name}: nothing given for {sorted(missing)}") from None
             raise
+
+    def _check_block(self, name: str, buffer: Any) -> None:
+        """What is behind the limit would read as zeros, and nothing would say so."""
+        limit = self._context.limits.storage_block_bytes
+        if buffer.size > limit:
+            raise GeometryError(
+                f"{self.name}: {name} holds {buffer.size} bytes, this device's storage blocks {limit}: "
+                "use a device with a larger limit (glhybrid doctor lists them) or a smaller scene or picture"
+            )
 
     def dispatch(
         self, resources: Mapping[str, Any], size: tuple[int, int], group: tuple[int, int] = (8, 8), wait: bool = True
@@ -240,6 +246,7 @@ class Program:
 
     def _band(self, resources: Mapping[str, Any], first: int, across: int, rows: int) -> None:
         start = time.perf_counter()
+        self._bindings.forget()
         self.bind(resources)
         self._first_row.value = first
         try:

@@ -256,8 +256,9 @@ class Staged:
         if isinstance(self.passes.shadow, ShadowMap):
             self.passes.shadow.look(view, self.bounds if self.mover is not None else None)
         self.constants.look(view, len(self.upload.lights))
-        grid_min, grid_step = self.upload.top_grid(view.origin)
-        self.constants.put(top_root=self.upload.top_root, top_grid_min=grid_min, top_grid_step=grid_step)
+        if self.features.two_level:
+            grid_min, grid_step = self.upload.top_grid(view.origin)
+            self.constants.put(top_root=self.upload.top_root, top_grid_min=grid_min, top_grid_step=grid_step)
 
     def _capture_probes(self, probe: Probe) -> None:
         """Probes as things are now. What renders them is kept where things move."""
@@ -293,7 +294,8 @@ class Staged:
         """
         timing.frame()
         self._follow()
-        return self.passes.run(self.targets, timing.run)
+        with self.context.bindings.keep():
+            return self.passes.run(self.targets, timing.run)
 
     def accumulate(self, timing: Timing, progress: Progress | None) -> Any:
         """All samples of one picture -> radiance. The centre of the pixel comes last if data was asked for."""

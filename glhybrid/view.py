@@ -1,5 +1,6 @@
 """Camera -> what a frame needs of it: the world's origin, matrices, and the basis of primary rays. No OpenGL."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,36 +38,52 @@ def make_view(
     bounds: (2, 3) of all that the scene may reach; default: of where it is.
     """
     width, height = size
-    bounds = scene.bounds() if bounds is None else bounds
-    extent = float(np.linalg.norm(bounds[1] - bounds[0])) or 1.0
+    low, high = (scene.bounds() if bounds is None else bounds).tolist()
+    extent = math.dist(low, high) or 1.0
     pose = camera.world_from_view
-    grid = 2.0 ** np.floor(np.log2(extent / 64))
-    origin = np.round(pose[:3, 3] / grid) * grid
-    eye = pose[:3, 3] - origin
-    right, up, forward = pose[:3, 0], pose[:3, 1], -pose[:3, 2]
+    right, up, back, position = pose[:3].T.tolist()
+    grid = 2.0 ** math.floor(math.log2(extent / 64))
+    origin = [round(x / grid) * grid for x in position]
+    eye = [x - y for x, y in zip(position, origin, strict=True)]
+    # Rows of view_from_world, times the determinant.
+    rows = [_cross(up, back), _cross(back, right), _cross(right, up)]
+    det = _dot(right, rows[0])
     orthographic = camera.fov_y <= 0
-    clip = np.zeros((4, 4))
     if orthographic:
         half_y = camera.ymag
         half_x = camera.xmag or half_y * width / height
-        reach = float(np.linalg.norm(bounds.mean(0) - pose[:3, 3])) + extent
-        clip[0, 0], clip[1, 1], clip[3, 3] = 1 / half_x, 1 / half_y, 1
-        clip[2, 2], clip[2, 3] = 1 / (reach - camera.near), reach / (reach - camera.near)
-        pixel_angle = 2 * half_y / height
+        middle = [(a + b) / 2 for a, b in zip(low, high, strict=True)]
+        reach = math.dist(middle, position) + extent
+        scale, depth = 1 / (reach - camera.near), reach / (reach - camera.near)
+        clip = [_row(rows[0], eye, det * half_x), _row(rows[1], eye, det * half_y),
+                _row(rows[2], eye, det / scale), [0.0, 0.0, 0.0, 1.0]]  # fmt: skip
+        clip[2][3] += depth
     else:
-        half_y = float(np.tan(camera.fov_y / 2)) * (max(1.0, height / width) if camera.fov_short else 1.0)
+        half_y = math.tan(camera.fov_y / 2) * (max(1.0, height / width) if camera.fov_short else 1.0)
         half_x = half_y * width / height
-        clip[0, 0], clip[1, 1], clip[3, 2] = 1 / half_x, 1 / half_y, -1
-        clip[2, 3] = camera.near
-        pixel_angle = 2 * half_y / height
+        clip = [_row(rows[0], eye, det * half_x), _row(rows[1], eye, det * half_y),
+                [0.0, 0.0, 0.0, camera.near], _row(rows[2], eye, -det)]  # fmt: skip
     if not clip_control:
-        clip[2] = 2 * clip[2] - clip[3]
-    world_from_view = pose.copy()
-    world_from_view[:3, 3] = eye
+        clip[2] = [2 * z - w for z, w in zip(clip[2], clip[3], strict=True)]
     return View(
-        camera, size, origin, eye, right * half_x, up * half_y, forward,
-        clip @ np.linalg.inv(world_from_view), orthographic, pixel_angle,
+        camera, size, np.array(origin), np.array(eye), pose[:3, 0] * half_x, pose[:3, 1] * half_y, -pose[:3, 2],
+        np.array(clip), orthographic, 2 * half_y / height,
     )  # fmt: skip
+
+
+# A frame in motion makes a view: these on three numbers each take a tenth of what NumPy would.
+def _cross(a: list[float], b: list[float]) -> list[float]:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+
+
+def _dot(a: list[float], b: list[float]) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _row(direction: list[float], eye: list[float], divisor: float) -> list[float]:
+    """What a point has of a direction, from the eye on, over a divisor: one row of a matrix."""
+    x, y, z = direction[0] / divisor, direction[1] / divisor, direction[2] / divisor
+    return [x, y, z, -(x * eye[0] + y * eye[1] + z * eye[2])]
 
 
 def choose_camera(scene: Scene, camera: int | str | Camera | None) -> Camera:

@@ -1,7 +1,8 @@
 """A steady frame, at rest or in motion: nothing is allocated, compiled or read back, and its calls are counted."""
 
+import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import moderngl
@@ -115,6 +116,95 @@ def test_nothing_is_made_or_read_in_a_frame(
     expected |= {"shadow": -(-lights // 8)} if shadows == "ray" else {"shadow_map": 1}
     assert calls == Counter({name: count * frames for name, count in expected.items()})
     renderer.context.gl.finish()
+
+
+class Calls:
+    """What Python calls in some work: its own functions, and those of C, which are all of OpenGL's and NumPy's."""
+
+    def __init__(self, work: Callable[[], None]) -> None:
+        self.python = 0
+        self.c: Counter[str] = Counter()
+        self.bound: Counter[tuple[str, int]] = Counter()  # (kind of binding, object)
+
+        def note(frame: Any, event: str, argument: Any) -> None:
+            if event == "call":
+                self.python += 1
+            elif event == "c_call":
+                name = getattr(argument, "__qualname__", str(argument))
+                self.c[name] += 1
+                if name.endswith((".bind_to_storage_buffer", ".use", ".bind")):
+                    self.bound[name, id(argument.__self__)] += 1
+
+        before = sys.getprofile()
+        sys.setprofile(note)
+        try:
+            work()
+        finally:
+            sys.setprofile(before)
+
+
+@pytest.mark.parametrize("objects", [1, 500])
+@pytest.mark.parametrize(
+    ("kernels", "dispatches", "images", "python", "c"), [("fused", 4, 8, 68, 80), ("split", 6, 11, 79, 101)]
+)
+def test_what_a_steady_frame_calls(
+    renderer: gh.Renderer, objects: int, kernels: str, dispatches: int, images: int, python: int, c: int
+) -> None:
+    """As many calls for 500 objects as for one, nothing bound twice, one upload. Counts are what it takes, and a tenth:
+    Python's own differ a little by version."""
+    settings = gh.Settings(primary="trace", levels=2, exposure=0.0, kernels=kernels)
+    staged = renderer.stage(crowd(objects), settings, SIZE)
+    camera = Camera.look_at((30, 8, 30), (0, 0, 0))
+    view = make_view(camera, SIZE, staged.scene, True, staged.bounds)
+    off = Timing(renderer.context.gl.finish, enabled=False)
+
+    def at_rest() -> None:
+        staged.look(view)
+        staged.set(jitter_px=(0, 0), accumulate=0)
+        staged.frame(off)
+
+    for _ in range(3):
+        at_rest()
+    calls = Calls(at_rest)
+    assert calls.c["Program.run"] == dispatches and calls.c["Context.memory_barrier"] <= dispatches
+    assert calls.c["Buffer.write"] == 1
+    blocks = {key: count for key, count in calls.bound.items() if "storage" in key[0]}
+    assert set(blocks.values()) == {1} and len(blocks) == 6, blocks
+    assert sum(calls.bound.values()) - len(blocks) <= images, calls.bound
+    assert calls.python <= 1.1 * python and sum(calls.c.values()) <= 1.1 * c, (calls.python, calls.c)
+
+    one_frame(staged, camera)
+    calls = Calls(lambda: one_frame(staged, camera))  # its view made anew, and shown
+    assert calls.c["Buffer.write"] == 1
+    assert calls.python <= 1.1 * (python + 29) and sum(calls.c.values()) <= 1.1 * (c + 31), (calls.python, calls.c)
+
+
+def test_others_may_bind_between_frames(renderer: gh.Renderer) -> None:
+    """What was bound before a frame is not believed, nor in the turns that a long dispatch gives: windows draw there."""
+    context = renderer.context
+    staged = renderer.stage(crowd(20), gh.Settings(exposure=0.0, kernels="split"), SIZE)
+    camera = Camera.look_at((9, 4, 9), (0, 0, 0))
+    junk, spoilt, turns = context.gl.buffer(reserve=1 << 16), context.gl.texture((4, 4), 4, dtype="f4"), 0
+
+    def disturb() -> None:
+        nonlocal turns
+        turns += 1
+        for k in range(8):
+            junk.bind_to_storage_buffer(k)
+            spoilt.use(k)
+            spoilt.bind_to_image(k)
+
+    one_frame(staged, camera)
+    want = staged.targets.read("radiance")
+    assert np.ptp(want) > 0
+    disturb()
+    one_frame(staged, camera)
+    assert np.array_equal(staged.targets.read("radiance"), want)
+    with renderer.shaders.pace.turns(disturb):
+        one_frame(staged, camera)
+    assert turns > 4 and np.array_equal(staged.targets.read("radiance"), want)
+    spoilt.release()
+    junk.release()
 
 
 def test_a_rebased_world_has_the_matrices_of_its_poses(renderer: gh.Renderer) -> None:
