@@ -1,7 +1,7 @@
 """The loops of light maps: which point of a chart a texel stands for, and how values spread to texels without one."""
 
 import numpy as np
-from numba import boolean, float32, float64, int32, int64
+from numba import boolean, float32, float64, int32, int64, uint8
 
 from glhybrid.jit import kernel
 
@@ -85,34 +85,100 @@ def rasterise(uv, boxes, height, width, reach):  # type: ignore[no-untyped-def]
     return nearest, bary
 
 
-@kernel((float32[:, :, :, ::1], boolean[:, :, ::1], int32[:, :, ::1], int64))
-def spread(values, valid, chart, rounds):  # type: ignore[no-untyped-def]
-    """Gives texels without a valid value the mean of their valid neighbours on the same chart, in place, for `rounds`.
+@kernel((boolean[:, :, ::1], int32[:, :, ::1], int64))
+def neighbours(valid, chart, rounds):  # type: ignore[no-untyped-def]
+    """Which texels without a value of their own take the mean of which others on their chart, for `rounds`, in order.
 
-    values (P, H, W, C), valid (P, H, W), chart (P, H, W), 0 = no chart.
+    valid (P, H, W), of those with one; chart (P, H, W), 0 = no chart. Returns texels (M,) int64, the 8 or fewer that
+    each takes, (M, 8) int64, -1 beyond, and the ends (rounds,) int64 of each round's.
     """
-    pages, height, width, channels = values.shape
-    total = np.zeros(channels, np.float32)
-    for _ in range(rounds):
-        before = valid.copy()
-        changed = 0
+    pages, height, width = valid.shape
+    done = valid.copy()
+    room = 0
+    for c, v in zip(chart.ravel(), valid.ravel()):  # noqa: B905
+        room += c != 0 and not v
+    texels = np.empty(room, np.int64)
+    others = np.full((room, 8), -1, np.int64)
+    ends = np.zeros(rounds, np.int64)
+    count = 0
+    for r in range(rounds):
+        first = count
         for p in range(pages):
             for y in range(height):
                 for x in range(width):
-                    if before[p, y, x] or chart[p, y, x] == 0:
+                    if done[p, y, x] or chart[p, y, x] == 0:
                         continue
-                    total[:] = 0
-                    count = 0
+                    k = 0
                     for j in range(max(y - 1, 0), min(y + 2, height)):
                         for i in range(max(x - 1, 0), min(x + 2, width)):
-                            if before[p, j, i] and chart[p, j, i] == chart[p, y, x]:
-                                count += 1
-                                for c in range(channels):
-                                    total[c] += values[p, j, i, c]
-                    if count > 0:
-                        for c in range(channels):
-                            values[p, y, x, c] = total[c] / count
-                        valid[p, y, x] = True
-                        changed += 1
-        if changed == 0:
+                            if done[p, j, i] and chart[p, j, i] == chart[p, y, x]:
+                                others[count, k] = (p * height + j) * width + i
+                                k += 1
+                    if k > 0:
+                        texels[count] = (p * height + y) * width + x
+                        count += 1
+        for t in range(first, count):
+            done.reshape(-1)[texels[t]] = True
+        ends[r] = count
+        if count == first:
+            ends[r:] = count
             break
+    return texels[:count], others[:count], ends
+
+
+@kernel((float32[:, ::1], int64[::1], int64[:, ::1], int64[::1]))
+def fill(values, texels, others, ends):  # type: ignore[no-untyped-def]
+    """What neighbours() says, done to values (N, C), in place."""
+    for t in range(ends[-1]):
+        for c in range(values.shape[1]):
+            total = np.float32(0)
+            k = 0
+            while k < 8 and others[t, k] >= 0:
+                total += values[others[t, k], c]
+                k += 1
+            values[texels[t], c] = total / np.float32(k)
+
+
+@kernel(
+    (float32[:, :, :, ::1], uint8[:, :, ::1], int32[:, :, ::1], int64, int64, int64, int64, float32[::1]),
+    inline="always",
+)
+def _mean(values, dark, chart, p, y, x, last, total):  # type: ignore[no-untyped-def]
+    """Whether a texel has neighbours on its chart that are bright, or as dark as `last`; it becomes their mean."""
+    total[:] = 0
+    count = 0
+    for j in range(max(y - 1, 0), min(y + 2, values.shape[1])):
+        for i in range(max(x - 1, 0), min(x + 2, values.shape[2])):
+            if (dark[p, j, i] == 0 or dark[p, j, i] == last) and chart[p, j, i] == chart[p, y, x]:
+                count += 1
+                for c in range(values.shape[3]):
+                    total[c] += values[p, j, i, c]
+    if count == 0:
+        return False
+    for c in range(values.shape[3]):
+        values[p, y, x, c] = total[c] / np.float32(count)
+    return True
+
+
+@kernel((float32[:, :, :, ::1], uint8[:, :, ::1], int32[:, :, ::1]))
+def soften(values, dark, chart):  # type: ignore[no-untyped-def]
+    """Gives dark texels next to others, and those next to them, the mean of their neighbours on the chart, in place.
+
+    values (P, H, W, C), dark (P, H, W) 0 or 1, overwritten; chart (P, H, W).
+    """
+    pages, height, width, channels = values.shape
+    border = [(0, 0, 0) for _ in range(0)]
+    total = np.zeros(channels, np.float32)
+    for p in range(pages):
+        for y in range(height):
+            for x in range(width):
+                if dark[p, y, x] == 1 and _mean(values, dark, chart, p, y, x, 0, total):
+                    border.append((p, y, x))
+    for p, y, x in border:
+        dark[p, y, x] = 2
+    for p, y, x in border:
+        for j in range(max(y - 1, 0), min(y + 2, height)):
+            for i in range(max(x - 1, 0), min(x + 2, width)):
+                if dark[p, j, i] == 1 and chart[p, j, i] == chart[p, y, x]:
+                    _mean(values, dark, chart, p, j, i, 2, total)
+                    dark[p, j, i] = 3

@@ -15,7 +15,7 @@ from glhybrid.lightmap import Lightmap
 from glhybrid.scene import F32, F64
 
 SMALLEST, LARGEST = 0.5 / 255, 0.15  # steps that count: what 8 bits show, up to what noise makes; others are real
-FACING = 0.2  # N.L from which on all of a light's disc is above both surfaces
+FACING = 0.07  # N.L from which on all of a light's disc is above both surfaces
 STIFF = 0.02  # of a texel, against a step of one
 ROUNDS = 30
 

@@ -22,3 +22,8 @@ Point bake_point(uvec4 texel) {
     if (SPHERES && tri.x == tri.y) return sphere_point_at(tri, oct_decode(bary), inst);
     return triangle_point(tri, bary, inst);
 }
+
+// Whether nothing looks at this texel's back: where it faces away from a light no ray need be sent.
+bool bake_front_only(uvec4 texel) {
+    return SINGLE_SIDED && hit_group_of(texel.x, texelFetch(triangles, int(texel.y)).w).single_sided == 1u;
+}

@@ -1,5 +1,5 @@
-// passes/baked_trace.comp -- any-hit rays from the texels of the light maps to one light: as passes/shadow.comp where it
-// is a point, all over its disc where it has a size.
+// passes/baked_trace.comp -- any-hit rays from the texels of the light maps to one light that has a size, all over its disc,
+// or that shines through tints.
 #include "lib/bake.glsl"
 
 layout(std430) buffer BakeSums { vec4 bake_sums[]; };    // light, N.L of the front
@@ -22,7 +22,8 @@ void main() {
     random_seed(bake_texels[row].yz, bake_texels[row].w, bake_texels[row].x);
     uvec2 start = uvec2(pcg(random_state), pcg(random_state ^ 0x9E3779B9u));
     vec3 sum = vec3(0.0);
-    for (uint i = bake_first; i < bake_end; i++) {
+    bool looked_at = bake_points[row].w != BAKE_INSIDE && (dot(dir, p.n_geo) > 0.0 || !bake_front_only(bake_texels[row]));
+    for (uint i = bake_first; i < bake_end && looked_at; i++) {
         Ray ray = Ray(vec3(0.0), 0.0, dir, away);
         if (light.size > 0.0) {
             vec2 xi = sequence_point(start, i);
@@ -34,7 +35,7 @@ void main() {
         ray.origin = ray_origin(p, ray.dir);
         // What of the light's disc is under the surface that its middle is above does not count.
         bool above = (dot(ray.dir, p.n_geo) >= 0.0) == (dot(dir, p.n_geo) >= 0.0);
-        if (above && bake_points[row].w != BAKE_INSIDE) sum += any_hit(ray);
+        if (above) sum += any_hit(ray);
     }
     if (bake_more) sum += bake_sums[row].rgb;
     bake_sums[row] = vec4(sum, dot(dir, p.n_geo));

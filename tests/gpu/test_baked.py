@@ -6,6 +6,7 @@ Scenes of shadow_scenes.py. Figures in comments are of llvmpipe.
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from shadow_scenes import FACING, WHITE, exact_visibility, facing, posts, room
 
 import glhybrid as gh
 from glhybrid import content_cache
+from glhybrid.bake import Bake
 from glhybrid.errors import SettingError
 from glhybrid.image import Frame
 from glhybrid.load.shapes import box, torus
@@ -266,6 +268,35 @@ def test_bakes_come_back_bit_equal_and_damaged_ones_are_made_anew(
     for other in (turned, moved_box):
         assert not baked(renderer, other, chosen).from_cache
     assert not baked(renderer, scene.replace(), settings(texels=4.0, push=False)).from_cache
+
+
+def test_many_lights_are_as_each_alone_and_kept_apart(
+    renderer: gh.Renderer, context: "Context", cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """More than a batch of them, one with a size in between; and a light that is added is all that is baked."""
+    scene, _, _ = posts()
+    turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    lamps = [Light("point", position=(3 * float(np.cos(a)), 2.0, 3 * float(np.sin(a)))) for a in turn]
+    lamps[7] = replace(lamps[7], radius=0.2)
+    chosen = settings(texels=3.0, samples=4)
+    many = pages(baked(renderer, scene.replace(lights=tuple(lamps)), chosen))
+    assert len(list((cache / "bake").iterdir())) == 40
+    monkeypatch.setenv("GLHYBRID_CACHE", "off")
+    for file in (cache / "bake").iterdir():
+        file.rename(file.with_suffix(".away"))
+    for k in (0, 7, 31, 32, 39):
+        assert np.array_equal(pages(baked(renderer, scene.replace(lights=(lamps[k],)), chosen))[0], many[k]), k
+    assert len({plane.tobytes() for plane in many}) == 40  # and each is another
+    for file in (cache / "bake").iterdir():
+        file.rename(file.with_suffix(".bake"))
+    asked: list[int] = []
+    lights = Bake.lights
+    monkeypatch.setattr(
+        Bake, "lights", lambda self, numbers, done: asked.extend(numbers) or lights(self, numbers, done)
+    )
+    lamps.insert(3, Light("point", position=(0.1, 3.0, 0.2)))
+    more = baked(renderer, scene.replace(lights=tuple(lamps)), chosen)
+    assert asked == [3] and not more.from_cache and np.array_equal(np.delete(pages(more), 3, 0), many)
 
 
 def test_a_shorter_file_that_adds_up_is_not_trusted(renderer: gh.Renderer, context: "Context", cache: Path) -> None:
