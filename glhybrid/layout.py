@@ -185,6 +185,8 @@ CONSTANTS: dict[str, int] = {
     "TONE_NONE": 0, "TONE_ACES": 1, "TONE_AGX": 2, "TONE_PBR_NEUTRAL": 3,
     # Texture slots of a material, in the order of scene.TEXTURE_SLOTS.
     **{f"SLOT_{slot.upper()}": i for i, slot in enumerate(TEXTURE_SLOTS)},
+    # Of paths on their way (lib/path.glsl): to a row of their image; texels of one, and of each light it looks for; lists.
+    "PATH_WIDTH": 1024, "PATH_PARTS": 5, "PATH_LIGHT_PARTS": 3, "PATH_LISTS": 4,
     # What passes/aov.comp writes, by the names of glhybrid/image.py.
     "AOV_DEPTH": 1, "AOV_DISTANCE": 2, "AOV_POSITION": 3, "AOV_NORMAL": 4, "AOV_NORMAL_GEOMETRIC": 5, "AOV_ALBEDO": 6,
     "AOV_ROUGHNESS": 7, "AOV_METALLIC": 8, "AOV_EMISSIVE": 9, "AOV_INSTANCE_ID": 10, "AOV_MATERIAL_ID": 11,
@@ -337,6 +339,7 @@ CHANNELS: dict[str, Channel] = {
         Channel("reflection_coat", 4, "f4", "rgba32f", "the same of the clearcoat (ray-glossy)"),
         Channel("reflection_noise", 2, "f2", "rg16f", "mean square luminance of rays over squared mean; how many"),
         Channel("reflection_coat_noise", 2, "f2", "rg16f", "the same of the clearcoat"),
+        Channel("paths", 4, "u4", "rgba32ui", "of the reference: paths on their way (lib/path.glsl)"),
         Channel("mirror_hit", 4, "u4", "rgba32ui", "of split reflections: distance, barycentrics, row of triangles"),
         Channel("mirror_ray", 4, "u4", "rgba32ui", "of split reflections: direction, row of instances"),
         Channel("mirror_lit", 1, "u4", "r32ui", "of split reflections: a bit for each light that arrives"),

@@ -257,16 +257,16 @@ class Program:
         self._context.gl.finish()
         self._bands.note(rows * across, (time.perf_counter() - start) * 1e3, self._pace.band_ms)
 
-    def dispatch_indirect(self, resources: Mapping[str, Any], groups: moderngl.Buffer) -> None:
-        """The same, over as many work groups as three uints at the start of a buffer say."""
+    def dispatch_indirect(self, resources: Mapping[str, Any], groups: moderngl.Buffer, offset: int = 0) -> None:
+        """The same, over as many work groups as three uints in a buffer say, so many bytes from its start."""
         if self._first_row is not None and self._pace.on:
-            across, down, _ = struct.unpack("3I", groups.read(12))
+            across, down, _ = struct.unpack("3I", groups.read(12, offset=offset))
             for band in self._in_bands(resources, across, down):
                 band()
                 self._pace.give_turn()
             return
         self.bind(resources)
-        self.program.run_indirect(groups)
+        self.program.run_indirect(groups, offset)
         self._context.gl.memory_barrier()
 
 

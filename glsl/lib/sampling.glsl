@@ -1,6 +1,5 @@
 // lib/sampling.glsl -- directions drawn from the BSDF: coat, specular interface, diffuse.
 #include "lib/brdf.glsl"
-#include "lib/random.glsl"
 
 struct Lobes { float coat, specular, diffuse; };   // probabilities, sum 1
 
@@ -24,11 +23,10 @@ float bsdf_pdf(Bsdf b, Lobes p, vec3 v, vec3 l) {
     return pdf;
 }
 
-// Draws l; weight = BSDF * NoL / pdf. pdf 0: a mirror was followed.
-vec3 bsdf_sample(Bsdf b, vec3 v, out vec3 weight, out float pdf) {
+// Draws l, by numbers in [0, 1): choice for the lobe, xi for the direction in it. weight = BSDF * NoL / pdf.
+// pdf 0: a mirror was followed.
+vec3 bsdf_sample(Bsdf b, vec3 v, float choice, vec2 xi, out vec3 weight, out float pdf) {
     Lobes p = lobes_of(b, v);
-    float choice = random_float();
-    vec2 xi = random_vec2();
     vec3 l;
     pdf = 0.0;
     weight = vec3(0.0);

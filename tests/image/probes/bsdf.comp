@@ -1,6 +1,7 @@
 // probes/bsdf.comp -- lib/brdf.glsl and lib/sampling.glsl on materials and directions from a buffer: value and density at
 // a given direction, and one drawn direction with its weight and density.
 #include "lib/sampling.glsl"
+#include "lib/random.glsl"
 
 layout(local_size_x = 64) in;
 // Six a case: base colour, metallic; f0, f90; roughness, transmission, clearcoat, its roughness; v; l; coat normal. n is +Z.
@@ -30,7 +31,8 @@ void main() {
     random_seed(uvec2(i & 0xFFFFu, i >> 16u), 0u, seed);
     vec3 weight;
     float pdf;
-    vec3 drawn = bsdf_sample(b, v, weight, pdf);
+    float choice = random_float();
+    vec3 drawn = bsdf_sample(b, v, choice, random_vec2(), weight, pdf);
     results[3u * i] = vec4(bsdf_eval(b, v, l), bsdf_pdf(b, lobes_of(b, v), v, l));
     results[3u * i + 1u] = vec4(drawn, pdf);
     results[3u * i + 2u] = vec4(weight, 0.0);
