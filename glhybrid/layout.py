@@ -185,7 +185,7 @@ CONSTANTS: dict[str, int] = {
     "TONE_NONE": 0, "TONE_ACES": 1, "TONE_AGX": 2, "TONE_PBR_NEUTRAL": 3,
     # Texture slots of a material, in the order of scene.TEXTURE_SLOTS.
     **{f"SLOT_{slot.upper()}": i for i, slot in enumerate(TEXTURE_SLOTS)},
-    # Of paths on their way (lib/path.glsl): to a row of their image; texels of one, and of each light it looks for; lists.
+    # Of paths on their way (lib/path.glsl): to a row of their image; texels of one, and of a light it looks for; lists.
     "PATH_WIDTH": 1024, "PATH_PARTS": 5, "PATH_LIGHT_PARTS": 3, "PATH_LISTS": 4,
     # What passes/aov.comp writes, by the names of glhybrid/image.py.
     "AOV_DEPTH": 1, "AOV_DISTANCE": 2, "AOV_POSITION": 3, "AOV_NORMAL": 4, "AOV_NORMAL_GEOMETRIC": 5, "AOV_ALBEDO": 6,
