@@ -31,6 +31,7 @@ struct Point {
     vec3 position;
     vec3 n_geo;      // unit, of the front side: glTF turns the winding over in mirrored instances, as does this transform
     float offset;    // m along n_geo that is sure to clear the surface
+    vec3 back;       // m towards where the ray that found it came from: stand_back
     vec2 uv;
 };
 
@@ -72,7 +73,7 @@ Point triangle_point(uvec4 tri, vec2 bary, Instance inst) {
     float n_scale = inversesqrt(dot(n_ws, n_ws));
     n_ws *= n_scale;
     vec3 object_err = 5.9604645e-8 * abs(v0) + 1.7881394e-7 * extent;
-    return Point(p_ws, n_ws, spawn_offset(object_err, p_os, p_ws, n_os, n_ws, n_scale, inst), vec2(0.0));
+    return Point(p_ws, n_ws, spawn_offset(object_err, p_os, p_ws, n_os, n_ws, n_scale, inst), vec3(0.0), vec2(0.0));
 }
 
 vec2 sphere_uv(vec3 n_os) { return vec2(angle_of(n_os.x, n_os.z) / (2.0 * PI) + 0.5, angle_of(length(n_os.xz), n_os.y) / PI); }
@@ -90,7 +91,7 @@ Point sphere_point_at(uvec4 tri, vec3 n_os, Instance inst) {
     n_ws *= n_scale;
     // The quadratic's rounding grows with the radius, not with an edge: 2^-20 of it.
     vec3 object_err = 5.9604645e-8 * abs(centre) + 9.5367432e-7 * radius;
-    return Point(p_ws, n_ws, spawn_offset(object_err, p_os, p_ws, n_os, n_ws, n_scale, inst), sphere_uv(n_os));
+    return Point(p_ws, n_ws, spawn_offset(object_err, p_os, p_ws, n_os, n_ws, n_scale, inst), vec3(0.0), sphere_uv(n_os));
 }
 
 // The point of a sphere under a ray; bary is not used: the point is put back on the sphere along its radius.
@@ -100,8 +101,16 @@ Point sphere_point(uvec4 tri, Ray ray, float t, Instance inst) {
     return sphere_point_at(tri, normalize(origin_os + t * (object_from_world * ray.dir) - vertex_position(tri.x)), inst);
 }
 
+// In a corner of two surfaces the point of one lies in the other's plane, and rounding may put it behind that: rays into the
+// open would end where they start. What the ray that found the point came through is open, so they leave from a little way
+// back along it. Four offsets clear surfaces that it passed at 1 : 200 and steeper (two: 1 : 20), and edges of shadows stay as
+// exact as they are without. Half the way at most: a ray between two walls may be shorter than that.
+void stand_back(inout Point p, Hit hit, Ray ray) { p.back = -min(4.0 * p.offset, 0.5 * hit.t) * ray.dir; }
+
 // Where a ray leaves: on the side of the surface that `dir` points to.
-vec3 ray_origin(Point p, vec3 dir) { return p.position + (dot(dir, p.n_geo) >= 0.0 ? p.offset : -p.offset) * p.n_geo; }
+vec3 ray_origin(Point p, vec3 dir) {
+    return p.position + (dot(dir, p.n_geo) >= 0.0 ? p.back + p.offset * p.n_geo : reflect(p.back, p.n_geo) - p.offset * p.n_geo);
+}
 
 // Barycentrics of a primary ray on the triangle that the raster says covers the pixel, clamped to it: the raster snaps
 // vertices to 1/256 px, so at an edge the exact ray may pass just outside, and a grazing plane is then far away.

@@ -36,6 +36,7 @@ Point point_at(Hit hit, Ray ray) {
     Point p = triangle_point(tri, hit.bary, inst);
     if (SPHERES && hit_group_of(hit.instance, tri.w).kind == KIND_SPHERE) p = sphere_point(tri, ray, hit.t, inst);
     if (dot(p.n_geo, ray.dir) > 0.0) p.n_geo = -p.n_geo;
+    stand_back(p, hit, ray);
     return p;
 }
 
@@ -59,6 +60,7 @@ Surface surface_at(Hit hit, Ray ray, float footprint) {
     vec3 to_viewer = -ray.dir;
     float side = dot(s.point.n_geo, to_viewer) < 0.0 ? -1.0 : 1.0;
     s.point.n_geo *= side;
+    stand_back(s.point, hit, ray);
 
     vec3 w = vec3(1.0 - hit.bary.x - hit.bary.y, hit.bary);
     mat3 to_world = mat3(inst.world_from_object[0], inst.world_from_object[1], inst.world_from_object[2]);

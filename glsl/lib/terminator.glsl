@@ -27,4 +27,4 @@ Point shadow_point(Pixel p, Surface s) {
 }
 
 // A mended point leaves on the viewer's side, even where the light lies behind the facet.
-vec3 shadow_origin(Point from, vec3 dir) { return TERMINATOR ? from.position + from.offset * from.n_geo : ray_origin(from, dir); }
+vec3 shadow_origin(Point from, vec3 dir) { return ray_origin(from, TERMINATOR ? from.n_geo : dir); }
