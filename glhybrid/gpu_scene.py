@@ -16,6 +16,7 @@ from glhybrid.geometry import Geometry
 from glhybrid.gl import BufferTexture
 from glhybrid.gpu_trees import EMPTY_TREE, GpuTrees
 from glhybrid.keys import MANY
+from glhybrid.levels import drawn_and_stored
 from glhybrid.motion import Moment, Motion
 from glhybrid.needs import Features
 from glhybrid.scene import F32, F64, SRGB_SLOTS, TEXTURE_SLOTS, Light, Material, Scene
@@ -23,7 +24,21 @@ from glhybrid.scene import F32, F64, SRGB_SLOTS, TEXTURE_SLOTS, Light, Material,
 _CAUSE = {"Lights": "lights", "Materials": "materials", "Textures": "textures", "TextureLevels": "textures"}
 
 
+TEXELS_A_TRIANGLE = 3  # in leaves
 NO_TREES = {"nodes": 0, "depth": 0, "sah_cost": 0.0, "build_ms": 0.0, "bytes": 0}
+
+
+def check_room(scene: Scene, levels: int, context: Context) -> None:
+    """Raises GeometryError where the device cannot hold the scene's tree: before minutes are spent on building it."""
+    limit = context.limits.texture_buffer_texels
+    drawn, stored = drawn_and_stored(scene)
+    needed = TEXELS_A_TRIANGLE * (drawn if levels == 1 else stored)
+    if needed > limit:
+        two = ", or take levels = 2" if levels == 1 and TEXELS_A_TRIANGLE * stored <= limit else ""
+        raise GeometryError(
+            f"{scene.name}: the tree over {needed // TEXELS_A_TRIANGLE} triangles needs {needed} texels, this device's "
+            f"buffer textures hold {limit}: split the scene or decimate its meshes{two}"
+        )
 
 
 class MovedTree(NamedTuple):
@@ -84,8 +99,9 @@ class GpuScene:
         self.resources["Instances"] = self._buffer("Instances", self._instances.nbytes)
         self.lights = scene.lights
         self.resources["Lights"] = self._buffer("Lights", max(len(self.lights), 1) * layout.dtype("Light").itemsize)
-        for block in ("Instances", "Lights", "Materials", "Textures", "TextureLevels"):
+        for block in ("Instances", "Lights", "Materials", "Textures", "TextureLevels") if features.buffer_array else ():
             if block in self.resources:  # the same bytes, as llvmpipe reads them faster
+                self._check_texels(block, self.resources[block].size)
                 view = BufferTexture(context.raw, self.resources[block])
                 self._owned.append(view)
                 self.resources[re.sub(r"(?<=[a-z])(?=[A-Z])", "_", block).lower()] = view
@@ -283,14 +299,17 @@ class GpuScene:
         self._owned.append(buffer)
         self.resources[name] = buffer
 
-    def _texels(self, name: str, rows: np.ndarray) -> BufferTexture:
-        texels = rows.nbytes // 16
+    def _check_texels(self, name: str, size: int) -> None:
         limit = self._context.limits.texture_buffer_texels
-        if texels > limit:
+        if size > 16 * limit:
+            table = f"use fewer {_CAUSE.get(name, 'instances')}"
             raise GeometryError(
-                f"{self.scene.name}: {name} needs {texels} texels, this device's buffer textures hold {limit}: "
-                "split the scene or decimate its meshes"
+                f"{self.scene.name}: {name} needs {size // 16} texels, this device's buffer textures hold {limit}: "
+                + (table if name[0].isupper() else "split the scene or decimate its meshes")
             )
+
+    def _texels(self, name: str, rows: np.ndarray) -> BufferTexture:
+        self._check_texels(name, rows.nbytes)
         buffer = self._context.gl.buffer(np.ascontiguousarray(rows) if rows.nbytes else bytes(48))
         view = BufferTexture(self._context.raw, buffer)
         self._owned += [buffer, view]

@@ -13,6 +13,7 @@ from glhybrid.scene import F64, Scene, Sphere, Triangles
 FLATTEN_GROWTH = 1.25
 FLATTEN_GROWTH_GPU = 6.0
 FLATTEN_RATIO = 1e-4  # smallest instance / scene: below it, float32 about the scene's centre would bend its shape
+FLATTEN_MOST = 1 << 25  # triangles: what a buffer texture of 2^27 texels holds of a tree, with some of them split
 BENT = 32  # roundings about the middle of the scene across a triangle: with fewer, it is bent by 3 % and more ...
 FINER = 16  # ... and is saved by two levels if its mesh holds it so many times as exactly
 
@@ -25,11 +26,11 @@ def choose_levels(scene: Scene, asked: int | str, software: bool = True) -> tupl
         return int(asked), "asked for"
     if not scene.instances:
         return 1, "nothing is drawn"
-    counts = [sum(len(p.index) if isinstance(p, Triangles) else 1 for p in m.primitives) for m in scene.meshes]
-    drawn = sum(counts[i.mesh] for i in scene.instances)
-    stored = sum(counts[i] for i in {i.mesh for i in scene.instances})
+    drawn, stored = drawn_and_stored(scene)
     if drawn > (FLATTEN_GROWTH if software else FLATTEN_GROWTH_GPU) * stored:
         return 2, f"meshes are repeated: {drawn} triangles drawn from {stored} stored"
+    if drawn != stored and drawn > FLATTEN_MOST:
+        return 2, f"{drawn} triangles, {stored} without repeats: more than one level's buffers hold"
     if any(not _flattenable(scene, i.mesh, i.world_from_object) for i in scene.instances):
         return 2, "a sphere stands under a non-uniform scale"
     extent = float(np.linalg.norm(np.diff(scene.bounds(), axis=0)))
@@ -42,6 +43,12 @@ def choose_levels(scene: Scene, asked: int | str, software: bool = True) -> tupl
     if drawn == stored:
         return 1, "no mesh is repeated"
     return 1, f"one level, {drawn / stored:.1f} times the triangles: faster on this device"
+
+
+def drawn_and_stored(scene: Scene) -> tuple[int, int]:
+    """Triangles and spheres: of all instances, and of the meshes that they draw."""
+    counts = [sum(len(p.index) if isinstance(p, Triangles) else 1 for p in m.primitives) for m in scene.meshes]
+    return sum(counts[i.mesh] for i in scene.instances), sum(counts[i] for i in {i.mesh for i in scene.instances})
 
 
 def _flattenable(scene: Scene, mesh: int, world_from_object: F64) -> bool:

@@ -14,7 +14,7 @@ from glhybrid import aside, deform, geometry, layout, motion, outputs, plan
 from glhybrid.context import Context
 from glhybrid.frame import Passes
 from glhybrid.frame_constants import FrameConstants
-from glhybrid.gpu_scene import GpuScene
+from glhybrid.gpu_scene import GpuScene, check_room
 from glhybrid.image import AOVS
 from glhybrid.mover import Mover
 from glhybrid.needs import Features
@@ -92,6 +92,7 @@ class Staged:
         """All but trees and buffers."""
         context, shaders, settings = self.context, self.shaders, self.settings
         if self.plan.trees and self.upload.trees is None:  # a staging that shares the upload had no use for them
+            check_room(self.drawn, self.plan.levels, context)
             without, what = self.upload.geometry, f"building trees over {self._triangles:,} triangles"
             self.upload.add_trees(aside.run(lambda: geometry.grow_trees(without), progress, what))
             if self.mover is not None:
@@ -123,6 +124,8 @@ class Staged:
     def _upload(self, moving: motion.Motion | None, progress: Progress | None) -> tuple[GpuScene, Mover | None]:
         """Buffers of the scene, trees if there is a use for them, and what moves them."""
         features, rebuild = self.plan.features, self.settings.rebuild
+        if self.plan.trees:
+            check_room(self.drawn, self.plan.levels, self.context)
 
         def build() -> geometry.Geometry:
             return geometry.build(

@@ -9,6 +9,7 @@ import pytest
 from rays import moved, scene_of
 
 import glhybrid as gh
+from glhybrid import geometry, levels
 from glhybrid.errors import GeometryError, GlhybridError, SettingError
 from glhybrid.load.shapes import box, torus
 from glhybrid.scene import Camera, Image, Light, Material, Scene, Texture
@@ -46,7 +47,7 @@ CASES = {
     "instances": ("storage_block_bytes", 160 * 40, scene(instances=60), "Instances needs.*hold 6400.*fewer instances"),
     "materials": ("storage_block_bytes", 2048, scene(materials=40), "Materials.*2048"),
     "lights": ("storage_block_bytes", 1024, scene(lights=40), "Lights.*1024.*fewer lights"),
-    "triangles": ("texture_buffer_texels", 500, scene(segments=64), "(slots|nodes|vertices) needs.*500"),
+    "triangles": ("texture_buffer_texels", 500, scene(segments=64), "tree over 1024 triangles needs 3072 texels.*500"),
     "layers": ("texture_layers", 6, scene(lights=7), "visibility: 7 layers.*6"),
     "pages": ("texture_size", 64, scene(textured=True), "pages of .* texels a side.*64"),
     "pixels": ("texture_size", 31, scene(), "size 32x24.*31x31"),
@@ -69,6 +70,51 @@ def test_a_lowered_limit_is_named_and_nothing_is_drawn(
         assert not renderer.context.raw.errors()
     with gh.Renderer(context=renderer.context) as again:
         assert np.array_equal(again.render(made, CAMERA, SIZE, settings)["radiance"], want["radiance"])
+
+
+def test_a_tree_that_has_no_room_is_not_built(renderer: gh.Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Minutes and gigabytes at 45 million triangles; where copies are what is too much, the message says so."""
+    copies = scene(instances=5)
+    want = renderer.render(copies, CAMERA, SIZE, gh.Settings(aa=1, exposure=0.0, levels=2))
+    limits = dataclasses.replace(renderer.context.limits, texture_buffer_texels=1000)
+    with monkeypatch.context() as patch, gh.Renderer(context=renderer.context) as low:
+        patch.setattr(renderer.context, "limits", limits)
+        got = low.render(copies, CAMERA, SIZE, gh.Settings(aa=1, exposure=0.0, levels=2))
+        assert np.array_equal(got["radiance"], want["radiance"])
+        patch.setattr(geometry, "build", lambda *_, **__: pytest.fail("built all the same"))
+        with pytest.raises(GeometryError, match=r"960 triangles needs 2880 texels.*1000.*levels = 2"):
+            low.render(copies, CAMERA, SIZE, gh.Settings(aa=1, levels=1))
+        with pytest.raises(GeometryError, match=r"1024 triangles needs 3072 texels.*decimate its meshes$"):
+            low.render(scene(segments=64), CAMERA, SIZE, gh.Settings(aa=1, levels=1))
+
+
+def test_what_is_only_rasterised_is_checked_too(renderer: gh.Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = gh.Settings(aa=1, shadows="none", reflections="none", primary="raster")
+    limits = dataclasses.replace(renderer.context.limits, texture_buffer_texels=100)
+    with monkeypatch.context() as patch, gh.Renderer(context=renderer.context) as low:
+        patch.setattr(renderer.context, "limits", limits)
+        with pytest.raises(GeometryError, match=r"(vertices|triangles) needs \d+ texels.*100.*decimate its meshes$"):
+            low.render(scene(), CAMERA, SIZE, settings)
+
+
+def test_what_one_level_cannot_hold_gets_two(monkeypatch: pytest.MonkeyPatch) -> None:
+    copies = scene(instances=5)
+    assert levels.choose_levels(copies, "auto", software=False)[0] == 1
+    monkeypatch.setattr(levels, "FLATTEN_MOST", 900)
+    assert levels.choose_levels(copies, "auto", software=False) == (
+        2, "960 triangles, 192 without repeats: more than one level's buffers hold",
+    )  # fmt: skip
+    assert levels.choose_levels(scene(segments=64), "auto", software=False)[0] == 1  # nothing to gain
+
+
+def test_a_table_that_is_read_by_texels_is_checked(renderer: gh.Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not renderer.context.device.software:
+        pytest.skip("only Mesa's software renderer reads tables by texels")
+    limits = dataclasses.replace(renderer.context.limits, texture_buffer_texels=1000)
+    with monkeypatch.context() as patch, gh.Renderer(context=renderer.context) as low:
+        patch.setattr(renderer.context, "limits", limits)
+        with pytest.raises(GeometryError, match=r"Instances needs \d+ texels.*1000.*fewer instances"):
+            low.render(scene(instances=150), CAMERA, SIZE, gh.Settings(aa=1))
 
 
 def test_any_block_that_is_bound_is_checked(renderer: gh.Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
