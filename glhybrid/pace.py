@@ -1,7 +1,7 @@
 """Long dispatches in bands, with a turn for others in between: what keeps a window alive where a pass takes a second.
 
 Off, a dispatch is one dispatch. On, the rows of tiles of each program that works on tiles (lib/tile.glsl) are drawn a
-few at a time, as many as take about `band_ms`; pixels are the same to the bit.
+few at a time, as many as take at most about `band_ms`; pixels are the same to the bit.
 """
 
 import time
@@ -50,6 +50,22 @@ class Pace:
         return time.perf_counter() - self.away_s
 
 
+def spread_rows(count: int, most: Callable[[], int]) -> Iterator[tuple[int, int, int]]:
+    """(first, every which one, how many) of rows, until all were there once; 0 comes first. most: of the next ones.
+
+    The rows of a band lie apart, all over the image, so that what one takes tells what the next will: a sky over a wood
+    would let bands grow in the sky. A band that is too long is halved, into its even and its odd rows.
+    """
+    waiting = [(0, 1)]
+    while waiting:
+        first, every = waiting.pop()
+        rows = -(-(count - first) // every)
+        if rows > max(most(), 1):
+            waiting += [(first + every, 2 * every), (first, 2 * every)]
+        else:
+            yield first, every, rows
+
+
 class Bands:
     """How much of one program is drawn at a time: learns what a tile costs."""
 
@@ -57,7 +73,7 @@ class Bands:
         self._tiles = 0.0  # in a band
 
     def rows(self, across: int) -> int:
-        """Rows of so many tiles for the next band."""
+        """Rows of so many tiles for the next band, at most."""
         return max(int(self._tiles / across), 1)
 
     def note(self, tiles: int, ms: float, band_ms: float) -> None:

@@ -21,7 +21,7 @@ from glhybrid.errors import GeometryError, ShaderError
 from glhybrid.gl import BufferTexture
 from glhybrid.load.builtin import data_folder
 from glhybrid.needs import Features
-from glhybrid.pace import Bands, Pace
+from glhybrid.pace import Bands, Pace, spread_rows
 from glhybrid.timing import Progress
 
 Resource = moderngl.Texture | moderngl.TextureArray | moderngl.Buffer | BufferTexture | int | float | tuple[float, ...]
@@ -115,7 +115,7 @@ class Program:
         self.program = program
         self._context = context
         self._pace, self._bands = pace or Pace(), Bands()
-        self._first_row: Any = None  # of tiles; stays 0 unless drawn in bands
+        self._rows: Any = None  # of tiles; stays 0, 0 unless drawn in bands
         self._bindings = context.bindings
         self._buffers: list[tuple[str, int]] = []  # and their units
         self._blocks: list[tuple[str, int]] = []
@@ -149,8 +149,8 @@ class Program:
                 elif kind in _IMAGE_TYPES:
                     self._images.append((member, bindings.images.place(member, images)))
                     context.raw.set_sampler(program, *self._images[-1])
-                elif member == "tile_row":
-                    self._first_row = handle
+                elif member == "tile_rows":
+                    self._rows = handle
                 else:
                     self._uniforms.append((member, handle))
 
@@ -219,7 +219,7 @@ class Program:
         wait: unless the next dispatch neither reads nor writes anything that this one writes, and does wait.
         """
         across, down = -(-size[0] // group[0]), -(-size[1] // group[1])
-        if self._first_row is None or not self._pace.on:
+        if self._rows is None or not self._pace.on:
             self.bind(resources)
             self.program.mglo.run(across, down, 1)
             if wait:
@@ -229,37 +229,27 @@ class Program:
                 band()
                 self._pace.give_turn()
 
-    def parts(self, resources: Mapping[str, Any], size: tuple[int, int]) -> Iterator[Callable[[], None]]:
-        """What dispatch() does, in as many parts as the pace asks for: who draws them gives the turns."""
-        if self._first_row is None or not self._pace.on:
-            yield lambda: self.dispatch(resources, size)
-        else:
-            yield from self._in_bands(resources, -(-size[0] // 8), -(-size[1] // 8))
-
     def _in_bands(self, resources: Mapping[str, Any], across: int, down: int) -> Iterator[Callable[[], None]]:
         """Each binds anew: in a turn, others draw."""
-        first = 0
-        while first < down:
-            rows = min(self._bands.rows(across), down - first)
-            yield partial(self._band, resources, first, across, rows)
-            first += rows
+        for first, every, rows in spread_rows(down, lambda: self._bands.rows(across)):
+            yield partial(self._band, resources, first, every, across, rows)
 
-    def _band(self, resources: Mapping[str, Any], first: int, across: int, rows: int) -> None:
+    def _band(self, resources: Mapping[str, Any], first: int, every: int, across: int, rows: int) -> None:
         start = time.perf_counter()
         self._bindings.forget()
         self.bind(resources)
-        self._first_row.value = first
+        self._rows.value = first, every - 1
         try:
             self.program.mglo.run(across, rows, 1)
         finally:
-            self._first_row.value = 0
+            self._rows.value = 0, 0
         self._context.gl.memory_barrier()
-        self._context.gl.finish()
+        self._context.raw.glFinish()  # unlike moderngl's, it lets other threads go on
         self._bands.note(rows * across, (time.perf_counter() - start) * 1e3, self._pace.band_ms)
 
     def dispatch_indirect(self, resources: Mapping[str, Any], groups: moderngl.Buffer, offset: int = 0) -> None:
         """The same, over as many work groups as three uints in a buffer say, so many bytes from its start."""
-        if self._first_row is not None and self._pace.on:
+        if self._rows is not None and self._pace.on:
             across, down, _ = struct.unpack("3I", groups.read(12, offset=offset))
             for band in self._in_bands(resources, across, down):
                 band()

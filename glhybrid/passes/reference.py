@@ -18,7 +18,7 @@ from glhybrid.geometry import Geometry
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.layout import CONSTANTS
 from glhybrid.needs import Features
-from glhybrid.pace import Bands
+from glhybrid.pace import Bands, spread_rows
 from glhybrid.shaders import Shaders
 from glhybrid.targets import Targets
 
@@ -63,7 +63,7 @@ class Reference:
     def steps(self, targets: Targets, staged: Any, timing: Any) -> Iterator[tuple[int, Any]]:
         """(paths a pixel so far, radiance) after each wave, until settings.samples are averaged.
 
-        Between waves anything may be drawn; the upper rows of the image then have more paths than the rest.
+        Between waves anything may be drawn; some rows of the image then have more paths than others.
         """
         settings = staged.settings
         across, down = (-(-n // 8) for n in targets.size)
@@ -77,30 +77,29 @@ class Reference:
         done = 0
         while done < settings.samples:
             count = min(at_once, settings.samples - done)
-            first = 0
-            while first < down:
+            for first, every, rows in spread_rows(down, lambda n=count: self._most(most_rows, across * n)):
                 if first:
                     yield done, radiance
-                rows = min(most_rows, down - first)
-                if self._pace.on:
-                    rows = min(self._bands.rows(across * count), rows)
                 timing.frame()
                 staged.set(
                     sample_first=done, sample_count=count, jitter_px=(spread, spread),
                     emissive_weight=self.emissive_weight,
                 )  # fmt: skip
-                resources["wave"] = (first, across * rows, count, -(-slots // CONSTANTS["PATH_WIDTH"]))
+                resources["wave"] = (first | every << 16, across * rows, count, -(-slots // CONSTANTS["PATH_WIDTH"]))
                 timing.run("reference", lambda: self._paced(resources, settings.bounces))
-                first += rows
             done += count
             yield done, radiance
+
+    def _most(self, rows: int, tiles: int) -> int:
+        """Rows of so many tiles in a wave."""
+        return min(self._bands.rows(tiles), rows) if self._pace.on else rows
 
     def _paced(self, resources: dict[str, Any], bounces: int) -> None:
         """One wave, timed where the pace wants to know."""
         start = time.perf_counter()
         self._run_wave(resources, bounces)
         if self._pace.on:
-            self._context.gl.finish()
+            self._context.raw.glFinish()  # unlike moderngl's, it lets other threads go on
             _, tiles, samples, _ = resources["wave"]
             self._bands.note(tiles * samples, (time.perf_counter() - start) * 1e3, self._pace.band_ms)
 

@@ -2,7 +2,9 @@
 
 from dataclasses import dataclass
 
-GPU_MS, SOFTWARE_MS = 30.0, 140.0  # of a frame in motion: answers within 50 ms on a GPU, 5 frames/s on a CPU
+# Of a frame in motion. An answer takes two of them at most, the one under way and its own: within 50 ms on a GPU with
+# what the panel takes; 5 frames/s on a CPU.
+GPU_MS, SOFTWARE_MS = 18.0, 140.0
 FIRST_SOFTWARE = 0.25  # of each side: the first picture on a CPU, which nobody knows the cost of
 REST_S = 0.25  # without motion, before the picture is made in full
 SCALES = (1.0, 0.75, 0.5, 0.375, 0.25, 0.1875, 0.125)  # of each side

@@ -95,7 +95,7 @@ class Hand:
 
     def present(self, image: Any, moving: bool) -> None:
         self.surface.present(image, moving)
-        self.surface.context.gl.finish()
+        self.surface.context.raw.glFinish()
         if self._waiting is not None and moving:
             self.answers.append((time.perf_counter() - self._waiting) * 1e3)
             self._waiting = None

@@ -28,7 +28,7 @@ class Picture:
         """retire: told of a staging that this picture uses no more. progress: of preparations."""
         self._renderer, self._retire, self._progress = renderer, retire, progress
         self._pace = renderer.shaders.pace
-        self._timing = Timing(renderer.context.gl.finish, clock=self._pace.clock)
+        self._timing = Timing(renderer.context.raw.glFinish, clock=self._pace.clock)
         self.staged: Staged | None = None
         self.view: View | None = None
         self.done = self.total = 0

@@ -9,7 +9,7 @@ layout(local_size_x = 64) in;
 layout(rgba32ui) restrict uniform uimage2D paths;
 layout(std430) restrict buffer PathLists { uint path_lists[]; };
 layout(std430) restrict buffer PathCounts { uvec4 path_counts[]; };       // by depth and list: work groups, 1, 1, entries
-uniform uvec4 wave;       // first row of tiles, tiles, samples of each pixel, rows of a part
+uniform uvec4 wave;       // first row of tiles and, << 16, every which one; tiles; samples of each pixel; rows of a part
 uniform uint depth;       // surfaces that the path has met
 
 // Parts of a path, and of the rays that look whether light arrives at it, for each kind of light.
@@ -80,7 +80,7 @@ void join_lists(uint lists, uint slot) {
 ivec2 slot_pixel(uint slot) {
     uint i = slot % 64u, tile = slot / 64u % wave.y, across = uint(frame.size_px.x + 7) / 8u;
     uvec2 p = uvec2((i & 1u) | (i >> 1u & 2u) | (i >> 2u & 4u), (i >> 1u & 1u) | (i >> 2u & 2u) | (i >> 3u & 4u));
-    return ivec2(uvec2(tile % across, wave.x + tile / across) * 8u + p);
+    return ivec2(uvec2(tile % across, (wave.x & 0xFFFFu) + tile / across * (wave.x >> 16u)) * 8u + p);
 }
 
 uint slot_sample(uint slot) { return frame.sample_first + slot / (64u * wave.y); }

@@ -2,9 +2,10 @@
 // neighbouring lanes (llvmpipe) are a 4x2 block and any 32 (a GPU's subgroup) an 8x4 one, whose rays stay together.
 layout(local_size_x = 64) in;
 
-uniform uint tile_row;                                     // of all rows of tiles, the first of this dispatch
+// Of all rows of tiles, the first of this dispatch, and how many are left out after each: 0, 0 is all of them.
+uniform uvec2 tile_rows;
 
-uvec2 tile() { return uvec2(gl_WorkGroupID.x, gl_WorkGroupID.y + tile_row); }
+uvec2 tile() { return uvec2(gl_WorkGroupID.x, gl_WorkGroupID.y * (tile_rows.y + 1u) + tile_rows.x); }
 
 ivec2 tile_pixel() {
     uint i = gl_LocalInvocationIndex;

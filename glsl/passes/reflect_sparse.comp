@@ -23,7 +23,7 @@ void main() {
     if (i >= pixel_count) return;
     ivec2 px = ivec2(pixel_list[i] & 0xFFFFu, pixel_list[i] >> 16u);
 #else
-    if (gl_GlobalInvocationID == uvec3(0u) && tile_row == 0u) { groups_x = GROUPS_ACROSS; groups_y = 0u; groups_z = 1u; pixel_count = 0u; }
+    if (gl_GlobalInvocationID == uvec3(0u) && tile_rows.x == 0u) { groups_x = GROUPS_ACROSS; groups_y = 0u; groups_z = 1u; pixel_count = 0u; }
     ivec2 cell = tile_pixel();
     ivec2 px = pixel_of(cell);
     if (any(greaterThanEqual(px, frame.size_px))) return;                  // groups overhang the edge
