@@ -8,7 +8,8 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from typing import Any
 
-from glhybrid.scene import F32, U8
+from glhybrid.renderer import Renderer
+from glhybrid.scene import U8
 from glhybrid.viewer import compare, views
 from glhybrid.viewer.picture import Picture
 from glhybrid.viewer.session import Session
@@ -17,17 +18,18 @@ Upload = Callable[[str, U8], Any]
 
 
 class Measure:
-    """errors: by side. legend: of the map that was made last."""
+    """errors: by side. legend: of the map that was made last. upload(name, pixels): a texture of them."""
 
-    def __init__(self, session: Session, upload: Upload) -> None:
+    def __init__(self, session: Session, renderer: Renderer, upload: Upload) -> None:
         self.errors: dict[str, compare.Error] = {}
         self.legend: views.Legend | None = None
-        self._session, self._upload = session, upload
+        self._session, self._upload, self._renderer = session, upload, renderer
+        self._differ: compare.Differ | None = None
         self._worker = compare.Worker()
         self._has_flip = compare.has_flip()
-        self._pairs: dict[str, tuple[Any, U8, U8]] = {}
-        self._flips: dict[str, tuple[Any, F32, float]] = {}
-        self._asked: dict[str, Any] = {}
+        self._counted: dict[str, Any] = {}  # what errors are of
+        self._asked: dict[str, Any] = {}  # what FLIP was asked for
+        self._flips: dict[str, tuple[Any, float, Any]] = {}  # of what, the mean, the map's texture
         self._maps: dict[str, tuple[Any, Any]] = {}
 
     @property
@@ -36,7 +38,7 @@ class Measure:
 
     def forget(self, side: str) -> None:
         """A side is drawn anew."""
-        for table in (self.errors, self._pairs, self._flips, self._asked, self._maps):
+        for table in (self.errors, self._counted, self._asked, self._flips, self._maps):
             table.pop(side, None)
 
     def update(self, side: str, version: Any, ours: Picture, theirs: Picture) -> bool:
@@ -44,77 +46,76 @@ class Measure:
 
         version: of both pictures and of how they are displayed.
         """
-        changed = self._deliver()
-        done = theirs.done if theirs.finished else 1 << (theirs.done.bit_length() - 1)
-        key = version, done
-        if self._pairs.get(side, (None,))[0] != key and not self._worker.counting:
-            first, second = ours.rgb(), theirs.rgb()
-            if first.shape != second.shape:
-                return changed
-            self._pairs[side] = key, first, second
-            self._worker.count((side, key), first, second, ours.radiance(), theirs.radiance(), theirs.done)
+        changed = self.deliver()
+        if ours.size != theirs.size or ours.display is None or theirs.display is None:
+            return changed
+        key = version, theirs.done if theirs.finished else 1 << (theirs.done.bit_length() - 1)
+        if self._counted.get(side) != key:
+            self._counted[side] = key
+            flip = self._flips.get(side)
+            self.errors[side] = replace(self.differ.error(ours, theirs), flip=flip[1] if flip is not None else None)
             changed = True
-        if self._has_flip and side in self._pairs and not self._worker.flipping:
-            key, first, second = self._pairs[side]
-            if self._asked.get(side) != key:
-                self._asked[side] = key
-                self._worker.start((side, key), first, second)
-        return self._make_map(side) or changed
+        if self._has_flip and self._asked.get(side) != key and not self._worker.busy:
+            self._asked[side] = key
+            self._worker.start((side, key), ours.pixels(), theirs.pixels())
+        return self.draw_map(side, (version, ours.done, theirs.done), ours, theirs) or changed
 
-    def _deliver(self, wait: bool = False) -> bool:
-        """Takes what is done; whether there was anything that is still of use."""
-        changed = False
-        if (counted := self._worker.counted(wait)) is not None:
-            (side, key), error = counted
-            if self._pairs.get(side, (None,))[0] == key:  # else drawn anew meanwhile
-                flip = self._flips.get(side)
-                self.errors[side] = replace(error, flip=flip[2] if flip is not None else None)
-                changed = True
+    @property
+    def differ(self) -> compare.Differ:
+        if self._differ is None:
+            palette = self._upload("ramp magma", views.palette("magma")[None])
+            self._differ = compare.Differ(self._renderer.context, self._renderer.shaders, palette)
+        return self._differ
+
+    def deliver(self, wait: bool = False) -> bool:
+        """Takes FLIP's result if it is there; whether it is still of use."""
         try:
             flipped = self._worker.flipped(wait)
         except (BrokenProcessPool, MemoryError) as error:  # the process was killed, or has no room
             self._has_flip, flipped = False, None
             self._session.say(f"no FLIP from now on: {error}", error=True)
-        if flipped is not None:
-            (side, key), error_map, mean = flipped
-            if self._asked.get(side) == key:
-                self._flips[side] = key, error_map, mean
-                if side in self.errors:
-                    self.errors[side] = replace(self.errors[side], flip=mean)
-                self._make_map(side)
-                changed = True
-        return changed
+        if flipped is None:
+            return False
+        (side, key), pixels, mean = flipped
+        if self._asked.get(side) != key:  # drawn anew meanwhile
+            return False
+        self._flips[side] = key, mean, self._upload(f"flip {side}", pixels)
+        if side in self.errors:
+            self.errors[side] = replace(self.errors[side], flip=mean)
+        return True
 
-    def _make_map(self, side: str) -> bool:
-        mode = self._session.mode
-        if mode == "difference" and side in self._pairs:
-            key, ours, theirs = self._pairs[side]
-            wanted = mode, key, self._session.gain
+    def draw_map(self, side: str, key: Any, ours: Picture, theirs: Picture) -> bool:
+        """The map of the mode of now, of two pictures on display, unless there is one of this key."""
+        session = self._session
+        if session.mode == "difference":
+            wanted = session.mode, key, session.gain
             if self._maps.get(side, (None,))[0] != wanted:
-                high = 255.0 / self._session.gain
-                rgb, self.legend = views.heat(compare.difference(ours, theirs), high, "levels of 255")
-                self._maps[side] = wanted, self._upload(f"map {side}", rgb)
+                image, self.legend = self.differ.map(side, ours, theirs, session.gain)
+                self._maps[side] = wanted, image
                 return True
-        if mode == "flip" and side in self._flips:
-            key, error_map, _ = self._flips[side]
-            if self._maps.get(side, (None,))[0] != (mode, key):
-                rgb, self.legend = views.heat(error_map, 1.0, "equal ... as unlike as can be")
-                self._maps[side] = (mode, key), self._upload(f"map {side}", rgb)
+        if session.mode == "flip" and side in self._flips:
+            of, _, image = self._flips[side]
+            if self._maps.get(side, (None,))[0] != (session.mode, of):
+                self.legend = views.Scale(0.0, 1.0, compare.FLIP_UNIT, "magma")
+                self._maps[side] = (session.mode, of), image
                 return True
-        if mode == "flip" and not self._has_flip:
+        if session.mode == "flip" and not self._has_flip:
             if not compare.has_flip():
-                self._session.say("FLIP needs flip-evaluator: pip install 'glhybrid[viewer]'", error=True)
-            self._session.mode = "difference"
+                session.say("FLIP needs flip-evaluator: pip install 'glhybrid[viewer]'", error=True)
+            session.mode = "difference"
         return False
 
     def map(self, side: str) -> Any:
-        """The texture of a side's map in the mode of now, row 0 at the top; None until it is made."""
+        """The texture of a side's map in the mode of now, row 0 at the bottom; None until it is made."""
         found = self._maps.get(side)
         return found[1] if found is not None and found[0][0] == self._session.mode else None
 
     def settle(self) -> bool:
         """Waits for what is on its way; whether there was any."""
-        return self._deliver(wait=True)
+        return self.deliver(wait=True)
 
     def close(self) -> None:
         self._worker.close()
+        if self._differ is not None:
+            self._differ.release()
+            self._differ = None

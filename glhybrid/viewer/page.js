@@ -4,7 +4,7 @@ const canvas = document.getElementById("view"), state = document.getElementById(
 const paint = canvas.getContext("2d", { alpha: false });
 const token = new URLSearchParams(location.search).get("token") || "";
 const scheme = location.protocol === "https:" ? "wss" : "ws";
-let socket = null, moved = null, ended = "";
+let socket = null, moved = null, ended = "", arrived = 0, painted = 0;
 
 const KEYS = {
   ArrowLeft: "left_arrow", ArrowRight: "right_arrow", ArrowUp: "up_arrow", ArrowDown: "down_arrow",
@@ -32,7 +32,9 @@ function tell(text) {
 }
 
 async function show(data) {
-  const image = await createImageBitmap(data);
+  const number = ++arrived, image = await createImageBitmap(data);
+  if (number < painted) return send("ack");  // a small one has come later and was quicker
+  painted = number;
   if (canvas.width !== image.width || canvas.height !== image.height) {
     canvas.width = image.width;
     canvas.height = image.height;

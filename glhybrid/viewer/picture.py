@@ -11,7 +11,7 @@ import numpy as np
 
 from glhybrid.pace import Interrupted
 from glhybrid.renderer import Renderer
-from glhybrid.scene import F32, Camera, Scene
+from glhybrid.scene import F32, U8, Camera, Scene
 from glhybrid.settings import Settings
 from glhybrid.staged import Staged
 from glhybrid.timing import Progress, Timing
@@ -152,10 +152,26 @@ class Picture:
             scene, _, camera, size, aovs = self._wanted
             self._wanted = scene, settings, camera, size, aovs
 
+    @property
+    def display(self) -> Any:
+        """The image that show() gave last, None before."""
+        return self._shown[-1] if self._shown else None
+
+    @property
+    def image(self) -> Any:
+        """The image of linear radiance so far."""
+        return self._radiance
+
+    def pixels(self) -> U8:
+        """(H, W, 4) uint8 of what show() gave, row 0 at the bottom."""
+        image = self.display
+        return np.frombuffer(image.read(), np.uint8).reshape(image.height, image.width, 4)
+
     def rgb(self) -> np.ndarray:
         """(H, W, 3) uint8 of what show() gave."""
-        image = self._shown[-1] if self._shown else self.show()
-        return np.frombuffer(image.read(), np.uint8).reshape(image.height, image.width, 4)[::-1, :, :3]
+        if self.display is None:
+            self.show()
+        return self.pixels()[::-1, :, :3]
 
     def radiance(self) -> F32:
         """(H, W, 3) float32 linear radiance so far."""

@@ -5,8 +5,11 @@ In motion each frame is the first sample of a smaller picture; at rest the full 
 
 import time as clock
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
 from typing import Any, Literal
+
+from numpy.typing import NDArray
 
 from glhybrid.errors import GlhybridError
 from glhybrid.pace import Interrupted
@@ -47,7 +50,7 @@ class Pictures:
         self.budget = Budget.of(self._software)
         if not self._software:
             renderer.shaders.pace.band_ms = GPU_BAND_MS
-        self.measure = Measure(session, texture)
+        self.measure = Measure(session, renderer, texture)
         self.size = (1, 1)
         self.scale = 1.0
         self.frame_ms = 0.0  # of the last picture in motion
@@ -55,6 +58,8 @@ class Pictures:
         self._legend: views.Legend | None = None
         self._drawn: tuple[Any, ...] = ()
         self._arrays: dict[Side, tuple[Any, Any]] = {}
+        self._painter = ThreadPoolExecutor(1, "glhybrid-views")
+        self._painting: dict[Side, tuple[Any, Future[tuple[U8, views.Legend]]]] = {}  # under way
         self._good: dict[str, Settings] = {"a": session.a, "b": session.b}
         self._moved_at = 0.0
         self._moving = False
@@ -111,7 +116,9 @@ class Pictures:
     @property
     def busy(self) -> bool:
         """Whether there will be more to show without any input."""
-        return self._stuck is None and (self._moving or self._next() is not None or self.measure.busy)
+        return self._stuck is None and (
+            self._moving or self._next() is not None or self.measure.busy or bool(self._painting)
+        )
 
     def update(self, size: tuple[int, int]) -> bool:
         """Draws for a slice of time; whether anything to show has changed.
@@ -172,6 +179,7 @@ class Pictures:
                 for measured in SIDES if side == "reference" else (side,):
                     self.measure.forget(measured)
             self.sides[side].redisplay(settings)
+        changed |= self._take_painted()
         if session.show != PICTURE and session.mode in ("single", "split"):
             changed |= self._make_arrays(pixels)
         if self._moving:
@@ -194,6 +202,8 @@ class Pictures:
             if self.session.show == PICTURE and self.sides[side].done == 0:
                 total += self.sides[side].step(full=self.scale == 1.0)
         if total:
+            if self._other() == "b":
+                self._measure()
             self.frame_ms = total
             self.budget.note((clock.perf_counter() - start) * 1e3, self.scale)
         return total > 0
@@ -213,7 +223,7 @@ class Pictures:
         session, changed = self.session, False
         for side in self.shown():
             key = self._begun[self._as(side)], session.show, session.light_shown, session.a.exposure
-            if self._arrays.get(side, (None,))[0] == key:
+            if self._arrays.get(side, (None,))[0] == key or self._painting.get(side, (None,))[0] == key:
                 continue
             start = clock.perf_counter()
             array = self.picture(side).array(session.show, None if self._moving else self._turn_for(self.picture(side)))
@@ -224,23 +234,37 @@ class Pictures:
             exposure = session.a.exposure
             ev = self.sides["a"].exposure_ev() if exposure == "auto" else float(exposure)
             look = views.Look(ev, session.light_shown, names, session.scene.bounds())
-            rgb, legend = views.colour(session.show, array, look)
-            if side == self.shown()[0]:
-                self._legend = legend
-            self._arrays[side] = key, self._texture(f"array {side}", rgb)
-            self.budget.note((clock.perf_counter() - start) * 1e3, self.scale)
-            self.frame_ms = (clock.perf_counter() - start) * 1e3
-            changed = True
+            if not self._moving:
+                self._painting[side] = key, self._painter.submit(_paint, session.show, array, look)
+            else:
+                self._painting.pop(side, None)
+                self._show_array(side, key, *_paint(session.show, array, look))
+                self.budget.note((clock.perf_counter() - start) * 1e3, self.scale)
+                self.frame_ms = (clock.perf_counter() - start) * 1e3
+                changed = True
         return changed
+
+    def _take_painted(self, wait: bool = False) -> bool:
+        """Arrays that have become colours; whether there were any. At full size that takes longer than an answer."""
+        done = [side for side, (_, future) in self._painting.items() if wait or future.done()]
+        for side in done:
+            key, future = self._painting.pop(side)
+            self._show_array(side, key, *future.result())
+        return bool(done)
+
+    def _show_array(self, side: Side, key: Any, pixels: U8, legend: views.Legend) -> None:
+        if side == self.shown()[0]:
+            self._legend = legend
+        self._arrays[side] = key, self._texture(f"array {side}", pixels)
 
     # What is shown
 
     def image(self, side: Side) -> tuple[Any, bool] | None:
         """(texture, whether its first row is at the bottom) of a side; None before anything was drawn."""
         session = self.session
-        mapped = self.measure.map(side) if not self._moving else None
+        mapped = self.measure.map(side) if not self._moving or self._other() == "b" else None
         if mapped is not None:
-            return mapped, False
+            return mapped, True
         if session.show != PICTURE and session.mode in ("single", "split"):
             array = self._arrays.get(side)
             return (array[1], False) if array else None
@@ -287,13 +311,16 @@ class Pictures:
         changed, theirs = False, self.picture(other)
         for side in self.shown():
             ours = self.picture(side)
-            if side == other or not (ours.finished or ours is theirs) or ours.size != theirs.size:
+            if side == other or ours.done == 0 or ours.size != theirs.size:
                 continue
             version = (
                 self._begun[self._as(side)], self._begun[self._as(other)], self.session.a.tone, self.session.a.exposure
             )  # fmt: skip
             self._present(side, other)
-            changed |= self.measure.update(side, version, ours, theirs)
+            if self._moving:
+                changed |= self.measure.draw_map(side, (version, ours.done, theirs.done), ours, theirs)
+            elif ours.finished or ours is theirs:
+                changed |= self.measure.update(side, version, ours, theirs)
         return changed
 
     def _present(self, *sides: Side) -> None:
@@ -303,6 +330,7 @@ class Pictures:
 
     def settle(self) -> None:
         """Waits for the errors."""
+        self._take_painted(wait=True)
         while self.measure.settle():
             self._measure()
 
@@ -330,12 +358,20 @@ class Pictures:
             self.sides[idle].drop()
         self._begun.clear()
         self._arrays.clear()
+        self._painting.clear()
         for side in SIDES:
             self.measure.forget(side)
         self.budget = Budget.of(self._software)
 
     def close(self) -> None:
+        self._painter.shutdown(cancel_futures=True)
         self.measure.close()
+
+
+def _paint(name: str, array: NDArray[Any], look: views.Look) -> tuple[U8, views.Legend]:
+    """An array as a texture's pixels, (H, W, 4), and its legend."""
+    rgb, legend = views.colour(name, array, look)
+    return views.opaque(rgb), legend
 
 
 @lru_cache(64)

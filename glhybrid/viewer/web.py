@@ -2,7 +2,8 @@
 
 The server runs in a thread of its own and touches no OpenGL; the viewer's thread leaves its newest frame there. The
 next frame is sent when the browser has shown the last one, so a slow line costs frames, not delay. JPEG in motion, PNG
-at rest: then the browser has `render`'s pixels. One browser at a time; a new one takes over.
+at rest: then the browser has `render`'s pixels. A PNG takes a while to make and to show: motion waits for neither. One
+browser at a time; a new one takes over.
 
 Loopback unless told otherwise, a random token in the URL, and requests whose Host or Origin is another are refused
 (a page elsewhere must not reach in through the user's browser).
@@ -16,17 +17,16 @@ import json
 import logging
 import math
 import secrets
+import sys
 import threading
 from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-import numpy as np
-
 from glhybrid.context import Context, open_context
 from glhybrid.errors import SettingError
-from glhybrid.scene import U8
 from glhybrid.viewer import need
 from glhybrid.viewer.events import KEYS, Button, Event, Focus, Key, Move, Text, Wheel
 from glhybrid.viewer.surface import Memory
@@ -35,6 +35,7 @@ log = logging.getLogger("glhybrid")
 SMALLEST, LARGEST = (160, 120), (4096, 4096)  # pixels of a browser's window that are served
 MOST_EVENTS = 1000  # waiting; more are dropped
 QUALITY = 85  # of JPEG
+SWITCH_S = 0.0005  # Python's threads take turns: three of them hand a frame on, by default after 5 ms each
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 PAGES = {"/": ("page.html", "text/html"), "/page.js": ("page.js", "text/javascript")}
 HEADERS = {
@@ -74,20 +75,30 @@ def parse(text: str) -> Event | tuple[int, int] | str | None:
     return None
 
 
-def encode(rgb: U8, exact: bool) -> bytes:
-    """PNG if exact, else JPEG with its colours at half size, which takes two thirds of the time."""
-    from PIL import Image
+class Picture:
+    """A frame on its way. pixels: RGBA, row 0 at the bottom. tag: Web.tag when it was presented."""
 
-    buffer, image = io.BytesIO(), Image.fromarray(rgb)
-    if exact:
-        image.save(buffer, "PNG", compress_level=1)
-    else:
-        image.save(buffer, "JPEG", quality=QUALITY, subsampling=2)
-    return buffer.getvalue()
+    def __init__(self, pixels: bytes, size: tuple[int, int], exact: bool, tag: Any) -> None:
+        self.pixels, self.size, self.exact, self.tag = pixels, size, exact, tag
+
+    def encode(self) -> bytes:
+        """PNG if exact, else JPEG with its colours at half size, which takes two thirds of the time."""
+        from PIL import Image
+
+        image = Image.frombytes("RGB", self.size, self.pixels, "raw", "RGBX", 0, -1)
+        buffer = io.BytesIO()
+        if self.exact:
+            image.save(buffer, "PNG", compress_level=1)
+        else:
+            image.save(buffer, "JPEG", quality=QUALITY, subsampling=2)
+        return buffer.getvalue()
 
 
 class Web(Memory):
-    """A surface whose display is a browser. url: to open there. Raises SettingError for an address that is taken."""
+    """A surface whose display is a browser. url: to open there. Raises SettingError for an address that is taken.
+
+    sent(tag): told of each frame that goes out, in the server's thread, with what `tag` was when it was presented.
+    """
 
     def __init__(
         self, device: str | Context, size: tuple[int, int], host: str = "127.0.0.1", port: int = 0, scale: float = 1.0
@@ -99,17 +110,21 @@ class Web(Memory):
         self._lock = threading.Condition()
         self._queue: deque[Event] = deque()
         self._wanted_size = size
-        self._latest: tuple[U8, bool] | None = None
+        self._latest: Picture | None = None
+        self.tag: Any = None
+        self.sent: Callable[[Any], None] = lambda tag: None
         self._client: Any = None
-        self._fresh: asyncio.Event | None = None
-        self._ready: asyncio.Event | None = None
+        self._news: asyncio.Event | None = None  # a frame was presented, made, or shown
         self._failure: OSError | None = None
         started = threading.Event()
+        self._switch_s = sys.getswitchinterval()
+        sys.setswitchinterval(SWITCH_S)
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._serve, args=(started,), daemon=True, name="glhybrid-web")
         self._thread.start()
         started.wait()
         if self._failure is not None:
+            sys.setswitchinterval(self._switch_s)
             context.close()
             reason = self._failure.strerror or self._failure
             raise SettingError(f"--web {port}: cannot listen at {host}: {reason}; --web 0 takes a free port")
@@ -145,9 +160,8 @@ class Web(Memory):
         super().present(image, moving)
         if self._client is None:
             return
-        width, height = image.size
-        pixels = np.frombuffer(image.read(components=3, alignment=1), np.uint8).reshape(height, width, 3)
-        self._latest = pixels[::-1], not moving
+        self.context.raw.glFinish()  # unlike read(), it lets the server's thread go on
+        self._latest = Picture(image.read(components=4), image.size, not moving, self.tag)
         self._call(self._wake)
 
     def title(self, text: str) -> None:
@@ -167,6 +181,7 @@ class Web(Memory):
             self._tell(bye="the viewer was closed")
             self._call(self._stop.set)
             self._thread.join(5)
+            sys.setswitchinterval(self._switch_s)
 
     def _call(self, function: Any, *arguments: Any) -> None:
         if not self._loop.is_closed():
@@ -187,7 +202,7 @@ class Web(Memory):
 
     async def _main(self, started: threading.Event) -> None:
         web = self._web
-        self._stop, self._fresh = asyncio.Event(), asyncio.Event()
+        self._stop, self._news = asyncio.Event(), asyncio.Event()
         app = web.Application(client_max_size=1 << 16)
         for path in PAGES:
             app.router.add_get(path, self._page)
@@ -228,19 +243,19 @@ class Web(Memory):
     async def _events_socket(self, request: Any) -> Any:
         if not self._allowed(request, token=True):
             return self._web.Response(status=403, text="glhybrid: wrong token\n")
-        socket = self._web.WebSocketResponse(max_msg_size=1 << 12, heartbeat=20.0)
+        # Pictures are compressed: to deflate them again, as browsers ask for, takes longer than all the rest.
+        socket = self._web.WebSocketResponse(max_msg_size=1 << 12, heartbeat=20.0, compress=False)
         await socket.prepare(request)
-        old, self._client, ready = self._client, socket, asyncio.Event()
+        old, self._client, unseen = self._client, socket, deque[bool]()
         if old is not None:
             await old.send_str(json.dumps({"bye": "another browser has taken over"}))
             await old.close()
-        ready.set()
-        sender = self._loop.create_task(self._send_frames(socket, ready))
+        sender = self._loop.create_task(self._send_frames(socket, unseen))
         self._put(Focus(True))
         try:
             async for message in socket:
                 if message.type == self._web.WSMsgType.TEXT:
-                    self._receive(message.data, ready)
+                    self._receive(message.data, unseen)
         finally:
             sender.cancel()
             if self._client is socket:
@@ -248,10 +263,12 @@ class Web(Memory):
                 self._put(Focus(False))
         return socket
 
-    def _receive(self, text: str, ready: asyncio.Event) -> None:
+    def _receive(self, text: str, unseen: deque[bool]) -> None:
         found = parse(text)
         if found == "ack":
-            ready.set()
+            if unseen:
+                unseen.popleft()
+            self._wake()
         elif isinstance(found, tuple):
             with self._lock:
                 self._wanted_size = found
@@ -268,25 +285,38 @@ class Web(Memory):
             self._lock.notify()
 
     def _wake(self) -> None:
-        assert self._fresh is not None
-        self._fresh.set()
+        assert self._news is not None
+        self._news.set()
 
-    async def _send_frames(self, socket: Any, ready: asyncio.Event) -> None:
-        assert self._fresh is not None
-        sent: Any = None
+    async def _send_frames(self, socket: Any, unseen: deque[bool]) -> None:
+        """unseen: of each frame that was sent and the browser has not shown, whether it is exact.
+
+        One in motion waits for no exact one: neither until it is made, nor sent, nor shown.
+        """
+        assert self._news is not None
+        taken: Picture | None = None
+        coding: asyncio.Future[bytes] | None = None
         while not socket.closed:
-            await ready.wait()
-            if self._latest is None or self._latest is sent:
-                await self._fresh.wait()
-                self._fresh.clear()
-                continue
-            frame = sent = self._latest
-            data = await self._loop.run_in_executor(None, encode, *frame)
-            ready.clear()
-            try:
-                await socket.send_bytes(data)
-            except (ConnectionError, RuntimeError):
-                return
+            self._news.clear()
+            latest = self._latest
+            if coding is not None and coding.done():
+                assert taken is not None
+                data, coding = coding.result(), None
+                unseen.append(taken.exact)
+                try:
+                    await socket.send_bytes(data)
+                except (ConnectionError, RuntimeError):
+                    return
+                self.sent(taken.tag)
+            elif (
+                latest is not None and latest is not taken
+                and (not unseen or (all(unseen) and not latest.exact))
+                and (coding is None or (taken is not None and taken.exact and not latest.exact))
+            ):  # fmt: skip
+                taken, coding = latest, asyncio.ensure_future(self._loop.run_in_executor(None, latest.encode))
+                coding.add_done_callback(lambda _: self._wake())
+            else:
+                await self._news.wait()
 
     async def _send_order(self, order: dict[str, str]) -> None:
         if self._client is not None and not self._client.closed:

@@ -17,7 +17,7 @@ from glhybrid.layout import CONSTANTS
 from glhybrid.scene import Animation, Camera, Channel, Environment, Light, Scene
 from glhybrid.settings import Settings
 from glhybrid.viewer import camera_control as control
-from glhybrid.viewer import compare, store, views
+from glhybrid.viewer import store, views
 from glhybrid.viewer.budget import SCALES, Budget, scaled
 from glhybrid.viewer.controls import Controls, implemented
 from glhybrid.viewer.events import LEFT, Button, Focus, Key, Move, Wheel
@@ -227,15 +227,6 @@ def test_views_mean_what_their_legends_say() -> None:
     assert views.colour("albedo", grey, views.Look(exposure=3.0))[0][0, 0, 0] == 188
     grey[0, 0, 0] = np.nan
     assert tuple(views.colour("radiance", grey, views.Look())[0][0, 0]) == views.NON_FINITE
-
-
-def test_errors_by_hand() -> None:
-    ours, theirs = np.full((2, 2, 3), 100, np.uint8), np.full((2, 2, 3), 110, np.uint8)
-    error = compare.numbers(ours, theirs, np.full((2, 2, 3), 1.0, np.float32), np.full((2, 2, 3), 2.0, np.float32), 7)
-    assert error.psnr == pytest.approx(20 * np.log10(25.5)) and error.samples == 7
-    assert error.rel_mse == pytest.approx(3 / 12.01) and error.flip is None
-    assert (compare.difference(ours, theirs) == 10).all()
-    assert compare.numbers(ours, ours, *[np.ones((2, 2, 3), np.float32)] * 2).psnr == float("inf")
 
 
 def make_controls() -> tuple[Controls, list[str]]:
