@@ -46,6 +46,14 @@ class Answers:
         }  # fmt: skip
 
 
+def place(step: int, size: tuple[int, int]) -> Move:
+    """Where the hand is after so many steps on a surface of this size: on a circle at the left, which is never the
+    panel's. No two places are the same."""
+    width, height = size
+    angle, radius = 2 * math.pi * step / RATE / TURN_S, 0.15 * min(width, height) + 1e-4 * step
+    return Move(0.16 * width + radius * math.sin(angle), 0.5 * height + radius * math.cos(angle))
+
+
 @dataclass
 class Hand:
     """A surface whose pointer is led. What else it is, the surface underneath is."""
@@ -60,10 +68,7 @@ class Hand:
         return getattr(self.surface, name)
 
     def _place(self, step: int) -> Move:
-        """A circle about the middle of the left half, which is never the panel's."""
-        width, height = self.surface.size
-        angle, radius = 2 * math.pi * step / RATE / TURN_S, 0.15 * min(width, height)
-        return Move(0.3 * width + radius * math.sin(angle), 0.5 * height + radius * math.cos(angle))
+        return place(step, self.surface.size)
 
     def press(self) -> None:
         """From now on the pointer drags."""
