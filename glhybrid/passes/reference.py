@@ -8,6 +8,7 @@ Laine, Karras, Aila, "Megakernels Considered Harmful", HPG 2013.
 
 import time
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -77,7 +78,7 @@ class Reference:
         done = 0
         while done < settings.samples:
             count = min(at_once, settings.samples - done)
-            for first, every, rows in spread_rows(down, lambda n=count: self._most(most_rows, across * n)):
+            for first, every, rows in spread_rows(down, partial(self._most, most_rows, across * count)):
                 if first:
                     yield done, radiance
                 timing.frame()
