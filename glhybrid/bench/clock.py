@@ -11,6 +11,7 @@ are read at the end.
 """
 
 import ctypes
+import math
 import os
 import time
 from collections.abc import Callable, Hashable, Mapping
@@ -26,6 +27,7 @@ from glhybrid.gl import GL_QUERY_RESULT, GL_TIMESTAMP
 from glhybrid.timing import T, Timing
 
 WARM_UP_S = 0.5  # of unpaced work: an H100 needs 0.29 s to reach its clock
+QUEUED_S = 0.1  # of work between two ends: enough not to let the clock fall
 LAUNCHES_AT_ONCE = 4  # between two looks at the time during warm-up
 K = TypeVar("K", bound=Hashable)
 Work = Callable[[], object]
@@ -33,11 +35,13 @@ Work = Callable[[], object]
 
 @dataclass
 class Sample:
-    """Times of one piece of work, ms a launch. gpu is empty without timer queries; wall may be one mean of a batch."""
+    """Times of one piece of work, ms a launch. gpu is empty without timer queries; wall and cpu may be means
+    over batches."""
 
     wall: list[float] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)
     gpu: list[float] = field(default_factory=list)
+    batch: int = 1
 
     def median(self, clock: str) -> float:
         return float(np.median(getattr(self, clock)))
@@ -72,28 +76,40 @@ def on_cpu(works: Mapping[K, Work], repeats: int, finish: Work = lambda: None) -
     return samples
 
 
-def warm_up(context: Context, work: Work, seconds: float = WARM_UP_S) -> None:
-    """Work without a pause until a GPU has reached its clock; once on a software rasteriser."""
-    started = time.perf_counter()
+def warm_up(context: Context, work: Work, seconds: float = WARM_UP_S) -> float:
+    """Seconds a launch. Works until a GPU has reached its clock, with QUEUED_S queued at most; once in software."""
+    launches, until = 1, time.perf_counter() + seconds
     while True:
-        work()
-        if context.device.software or time.perf_counter() - started >= seconds:
-            break
-    context.gl.finish()
+        started = time.perf_counter()
+        for _ in range(launches):
+            work()
+        context.gl.finish()
+        now = time.perf_counter()
+        if context.device.software or now >= until:
+            return (now - started) / launches
+        if now - started < QUEUED_S / 2:
+            launches *= 2
 
 
-def unpaced(context: Context, work: Work, least: int, seconds: float = 0.0, batch: int = 1) -> Sample:
-    """Warms up, then times batches of launches from finish() to finish(): at least so many launches, and so long."""
-    warm_up(context, work)
-    sample, started, finish = Sample(), time.perf_counter(), context.gl.finish
-    while len(sample.wall) * batch < least or time.perf_counter() - started < seconds:
+def unpaced(
+    context: Context, work: Work, least: int, seconds: float = 0.0, batch: int = 1, most_s: float = math.inf
+) -> Sample:
+    """Warms up, then times batches of launches from finish() to finish(): at least so many launches, and so long.
+
+    batch: launches at most, as many as fit in QUEUED_S. most_s: after so long two batches are enough.
+    """
+    batch = max(1, min(batch, int(QUEUED_S / max(warm_up(context, work), 1e-6))))
+    sample, started, finish = Sample(batch=batch), time.perf_counter(), context.gl.finish
+    while True:
+        spent, batches = time.perf_counter() - started, len(sample.wall)
+        if (batches * batch >= least and spent >= seconds) or (batches >= 2 and spent >= most_s):
+            return sample
         wall, cpu = time.perf_counter(), time.process_time()
         for _ in range(batch):
             work()
         finish()
         sample.cpu.append((time.process_time() - cpu) / batch * 1e3)
         sample.wall.append((time.perf_counter() - wall) / batch * 1e3)
-    return sample
 
 
 def on_gpu(context: Context, works: Mapping[K, Work], repeats: int, warm_up_s: float = WARM_UP_S) -> dict[K, Sample]:

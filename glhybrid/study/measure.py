@@ -22,16 +22,18 @@ from glhybrid.study.sweep import Cell
 from glhybrid.timing import Timing
 
 AOVS = ("visibility",)
+LONG_MS = 50.0  # of a frame whose passes a few looks tell
 REST = 17  # frames at rest: 16 of history
 NOT_TRACED = {"skin", "refit", "gbuffer", "composite", "display"}  # passes that every technique has in common
 
 
 @dataclass(frozen=True)
 class Clock:
-    """How long a cell is timed: at least `frames` frames and `seconds`, after a warm-up."""
+    """How long a cell is timed after a warm-up: at least `frames` frames and `seconds`; two batches after `most_s`."""
 
     frames: int = 5
     seconds: float = 0.5
+    most_s: float = 4.0
 
 
 @dataclass(frozen=True)
@@ -58,14 +60,12 @@ def time_frames(
     context, threads = renderer.context, threads_available()
     frame, off = steady_frame(renderer, scene, size, settings, camera), Timing(context.gl.finish, enabled=False)
     batch = 1 if context.device.software else 8  # a pause after every frame lets a GPU's clock fall
-    sample = unpaced(context, lambda: frame(off), clock.frames, clock.seconds, batch)
-    passes = pass_clock(context)
-    for _ in range(3 if context.device.software else 10):  # the first does not count
+    sample = unpaced(context, lambda: frame(off), clock.frames, clock.seconds, batch, clock.most_s)
+    frame_ms, passes = sample.median("wall"), pass_clock(context)
+    for _ in range(3 if context.device.software or frame_ms > LONG_MS else 10):  # the first does not count
         frame(passes)
-    frames = len(sample.wall) * batch
-    return Times(
-        sample.median("wall"), sample.median("cpu") / threads, sample.spread("wall") / 2, frames, passes.medians()
-    )
+    frames = len(sample.wall) * sample.batch
+    return Times(frame_ms, sample.median("cpu") / threads, sample.spread("wall") / 2, frames, passes.medians())
 
 
 def draw(renderer: Renderer, scene: Scene, camera: Camera, size: tuple[int, int], settings: Settings) -> Frame:

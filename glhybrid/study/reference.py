@@ -30,6 +30,7 @@ Progress = Callable[[str, int, int], None]
 BATCH = 8  # paths a pixel of the first two batches; they double
 LARGEST_BATCH = 256
 LOOK_SHARE = 4.0  # times as long as a look at its noise takes it is worked on before the next
+FLIP_POWER = 3.0  # paths grow by it as the noise falls: FLIP compresses small errors
 LEAST = 64  # paths a pixel, whatever the time: fewer tell nothing apart
 
 
@@ -89,7 +90,8 @@ def converge(
     noise, looked, looking_s = math.inf, started, 0.0
     while True:
         # To look takes seconds where pictures are large: at most a fifth of the time goes there.
-        due = time.perf_counter() - looked >= LOOK_SHARE * looking_s or halves.samples >= most
+        due = halves.samples >= LEAST and time.perf_counter() - looked >= LOOK_SHARE * looking_s
+        due = due or halves.samples >= most
         if due or time.perf_counter() - started >= budget_s:
             looking = time.perf_counter()
             noise = halves.noise_flip()
@@ -102,7 +104,7 @@ def converge(
             aim = (
                 most
                 if noise <= 0 or not math.isfinite(noise)
-                else min(most, halves.samples * (noise / max(target, 1e-9)) ** 2)
+                else min(most, halves.samples * (noise / max(target, 1e-9)) ** FLIP_POWER)
             )
             progress("reference", halves.samples, max(math.ceil(aim), halves.samples))
         if enough:

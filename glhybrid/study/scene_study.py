@@ -57,8 +57,8 @@ def effort(quick: bool, software: bool, size: tuple[int, int] | None, most: int 
         )  # fmt: skip
     else:
         chosen = Effort(
-            (640, 360) if software else (1920, 1080), Clock(5 if software else 64, 0.5), 64, 0.002,
-            1024 if software else 8192, math.inf, math.inf, 8 if software else 32, 24,
+            (640, 360) if software else (1920, 1080), Clock(5 if software else 64, 0.5, 4.0 if software else 1.0), 64,
+            0.002, 1024 if software else 4096, math.inf if software else 60.0, math.inf, 8 if software else 16, 24,
         )  # fmt: skip
     if size is not None:
         if min(size) < SMALLEST:
