@@ -403,7 +403,7 @@ def study(
     ] = False,
     device: Annotated[str, Parameter(help="auto, gpu, software, egl:N, cuda:N or osmesa.")] = "auto",
     size: Annotated[
-        str | None, Parameter(help="Pixels, WxH; 1920x1080 on a GPU, else 640x360; 960x540 or 256x144 with --quick.")
+        str | None, Parameter(help="Pixels, WxH,WxH,...; 1920x1080 on a GPU, else 640x360; --quick: 960x540, 256x144.")
     ] = None,
     camera: Annotated[str | None, Parameter(help="Name or index of a camera that all scenes have.")] = None,
     techniques: Annotated[str, Parameter(help="Only these, by name: map,csm,ray,ssr,...")] = "",
@@ -414,8 +414,8 @@ def study(
     quiet: Annotated[bool, Parameter(help="No messages but errors.")] = False,
 ) -> int:
     """Time every technique and measure how wrong it is: report.html, results.json, results.csv and all pictures."""
-    common = Common(allow_outside=allow_outside) if size is None else Common(size=size, allow_outside=allow_outside)
-    pixels = None if size is None else common.pixels()
+    common = Common(allow_outside=allow_outside)
+    sizes = [Common(size=one).pixels() for one in size.split(",")] if size is not None else []
     from glhybrid.settings import Settings
 
     Settings(bounces=bounces, samples=64 if samples is None else samples)  # refuses what is out of range
@@ -426,7 +426,7 @@ def study(
     show = not (quiet or json)
     with console.progress(show) as progress:
         found = studies.run(
-            scene, Path(output), quick=quick, paper=paper, device=device, size=pixels,
+            scene, Path(output), quick=quick, paper=paper, device=device, sizes=sizes,
             camera=Common(camera=camera).camera_key(),
             only=techniques.split(","), samples=samples, bounces=bounces, command=_command(), load=common.load,
             progress=progress, lines=show and not sys.stderr.isatty(),

@@ -37,7 +37,7 @@ def run(
     quick: bool = False,
     paper: bool = False,
     device: str = "auto",
-    size: tuple[int, int] | None = None,
+    sizes: Sequence[tuple[int, int]] = (),
     camera: int | str | None = None,
     only: Sequence[str] = (),
     samples: int | None = None,
@@ -51,31 +51,39 @@ def run(
     """Studies the scenes named, or the default ones, and writes everything to a folder; what is there and still holds
     is kept.
 
-    paper: the paper's scenes, and its method against the many-ray one. only: names of techniques; default all. samples:
-    the most paths a pixel of the reference. command: what is printed as the line that makes this study again. parts: of
-    PARTS or PAPER_PARTS; default those. lines: log lines instead of a bar. Raises what loading, settings, devices and
-    writing raise, all of it before any work is done where that can be known.
+    paper: the paper's scenes, and its method against the many-ray one. sizes: in pixels; each scene is studied at each.
+    only: names of techniques; default all. samples: the most paths a pixel of the reference. command: what is printed
+    as the line that makes this study again. parts: of PARTS or PAPER_PARTS; default those. lines: log lines instead of
+    a bar. Raises what loading, settings, devices and writing raise, all of it before any work is done where that can be
+    known.
     """
     picture.require_flip()
     only = sweep.check_names(only)
-    scene_study.effort(quick, True, size, samples)  # refuses a size
+    for size in sizes:
+        scene_study.effort(quick, True, size, samples)  # refuses a size
     if parts is None:
         parts = PAPER_PARTS if paper else PARTS
-    if paper and size is None:
-        size = papers.QUICK_SIZE if quick else papers.SIZE
+    if paper and not sizes:
+        sizes = (papers.QUICK_SIZE if quick else papers.SIZE,)
     scenes = _load(names or (papers.SCENES if paper else QUICK_SCENES if quick else SCENES), load)
     for scene in scenes.values():
         choose_camera(scene, camera)
     store.prepare(output)
     with Renderer(device=device) as renderer:
-        spent = scene_study.effort(quick, renderer.context.device.software, size, samples)
-        study, meter = Study(_machine(renderer, spent.size, command)), Meter(progress, lines)
+        software = renderer.context.device.software
+        efforts = [scene_study.effort(quick, software, size, samples) for size in dict.fromkeys(sizes or (None,))]
+        spent = efforts[0]
+        study, meter = Study(_machine(renderer, [e.size for e in efforts], command)), Meter(progress, lines)
         work = []
         for name, scene in scenes.items():
             axes = _paper_axes(study) if paper else _axes(name, scene, quick, only, study)
             seen = choose_camera(scene, camera)
-            work.append(scene_study.SceneStudy(renderer, name, scene, seen, axes, spent, bounces, output, study, meter))
-            meter.expect(work[-1].size_of_work())
+            for at in efforts:
+                full = name if len(efforts) == 1 else f"{name} {at.size[0]}x{at.size[1]}"
+                work.append(
+                    scene_study.SceneStudy(renderer, full, scene, seen, axes, at, bounces, output, study, meter)
+                )
+                meter.expect(work[-1].size_of_work())
         costs = {
             "peers": PEER_CELLS * len(panel.NAMES) * len(work),
             "ladder": papers.LADDER_CELLS,
@@ -135,11 +143,17 @@ def _paper_axes(study: Study) -> Mapping[str, Sequence[Cell]]:
     return {papers.AXIS: papers.cells()}
 
 
-def _machine(renderer: Renderer, size: tuple[int, int], command: str) -> dict[str, Any]:
+def _machine(renderer: Renderer, sizes: Sequence[tuple[int, int]], command: str) -> dict[str, Any]:
     from glhybrid.bench.report import machine
     from glhybrid.bvh.blas import threads_available
 
-    return machine(renderer.context.device.to_dict(), size=list(size), cores=threads_available(), command=command)
+    return machine(
+        renderer.context.device.to_dict(),
+        size=list(sizes[0]),
+        sizes=[list(size) for size in sizes],
+        cores=threads_available(),
+        command=command,
+    )
 
 
 def _peers(

@@ -55,7 +55,7 @@ def renderer(context: "Context") -> "Iterator[gh.Renderer]":
 def _run(folder: Path, monkeypatch: pytest.MonkeyPatch, context: "Context", **extra: object) -> run.Study:
     monkeypatch.setenv("GLHYBRID_CACHE", str(folder / "cache"))
     monkeypatch.setattr(run, "Renderer", lambda device: gh.Renderer(context=context))
-    options = {"quick": True, "size": SIZE, "samples": 8, "only": ("map", "ray", "env", "ray-lerp"), "parts": ()}
+    options = {"quick": True, "sizes": (SIZE,), "samples": 8, "only": ("map", "ray", "env", "ray-lerp"), "parts": ()}
     return run.run(("stage",), folder / "out", load=lambda _: stage(), **(options | extra))  # type: ignore[arg-type]
 
 
@@ -141,7 +141,7 @@ def test_a_killed_study_goes_on(tmp_path: Path) -> None:
     assert running.wait() == -signal.SIGKILL
     kept = {path: path.read_bytes() for path in folder.glob("*.json")}
     assert 3 <= len(kept) < 7
-    options = {"quick": True, "size": (48, 36), "samples": 4, "only": ("map", "ray", "env"), "parts": ()}
+    options = {"quick": True, "sizes": ((48, 36),), "samples": 4, "only": ("map", "ray", "env"), "parts": ()}
     environment_now = pytest.MonkeyPatch()
     for name in ("GLHYBRID_CACHE", "GLHYBRID_TUNING"):
         environment_now.setenv(name, environment[name])
@@ -214,7 +214,7 @@ def test_bad_input_is_refused_before_work(tmp_path: Path, monkeypatch: pytest.Mo
     with pytest.raises(SettingError, match="camera"):
         _run(tmp_path, monkeypatch, context, camera="nowhere")
     with pytest.raises(SettingError, match="16 pixels"):
-        _run(tmp_path, monkeypatch, context, size=(8, 8))
+        _run(tmp_path, monkeypatch, context, sizes=((8, 8),))
     (tmp_path / "out").mkdir(exist_ok=True)
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError):
