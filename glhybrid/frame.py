@@ -71,7 +71,7 @@ class Passes:
         if features.march:
             self.reflect = Ssr(shaders, scene, features, settings)
         elif features.glossy:
-            self.reflect = Glossy(shaders, scene, features, settings)
+            self.reflect = Glossy(shaders, scene, features, settings, plan.split)
         elif features.reflections and features.reflect_grid:
             self.reflect = ReflectSparse(context, shaders, scene, features, settings)
         elif features.reflections:

@@ -340,6 +340,8 @@ CHANNELS: dict[str, Channel] = {
         Channel("reflection_noise", 2, "f2", "rg16f", "mean square luminance of rays over squared mean; how many"),
         Channel("reflection_coat_noise", 2, "f2", "rg16f", "the same of the clearcoat"),
         Channel("paths", 4, "u4", "rgba32ui", "of the reference: paths on their way (lib/path.glsl)"),
+        Channel("reflection_rays", 4, "u4", "rgba32ui", "a layer a ray: direction, distance, radiance over albedo"),
+        Channel("reflection_coat_rays", 4, "u4", "rgba32ui", "the same of the clearcoat"),
         Channel("mirror_hit", 4, "u4", "rgba32ui", "of split reflections: distance, barycentrics, row of triangles"),
         Channel("mirror_ray", 4, "u4", "rgba32ui", "of split reflections: direction, row of instances"),
         Channel("mirror_lit", 1, "u4", "r32ui", "of split reflections: a bit for each light that arrives"),

@@ -13,6 +13,7 @@ from glhybrid.scene import TEXTURE_SLOTS, Material, Scene, Sphere, Triangles
 from glhybrid.settings import Settings
 
 MIRROR_ROUGHNESS = 0.02  # as in lib/brdf.glsl
+REUSED_RAYS = 4  # a pixel, at most: more are as good by themselves, and would be an image each
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,7 @@ class Features:
     glossy: bool = False  # or gathers rays over specular lobes
     glossy_coat: bool = False  # of the clearcoat, in passes/glossy.comp
     denoise: bool = False  # and their noise is filtered
+    reuse: bool = False  # by rays that neighbours share
     denoise_shadows: bool = False  # as that of penumbras is
     denoise_occlusion: bool = False  # and that of rays to the sky
     denoise_signal: int = 0  # which, in passes/denoise_*.comp
@@ -84,6 +86,11 @@ class Features:
         }
 
     replace = replace
+
+    @property
+    def reuse_coat(self) -> bool:
+        """Whether rays of the clearcoat are shared: its normals must be those that filters know, the base's."""
+        return self.reuse and self.clearcoat and not self.normal_map
 
     @property
     def filtered(self) -> bool:
@@ -155,6 +162,7 @@ def find(scene: Scene, settings: Settings) -> Needs:
     visibility = lit and settings.shadows != "none" and not reference
     shadow_maps = visibility and technique.depth_maps
     lightmap = visibility and technique.light_maps
+    denoise = glossy and rough and settings.parameter("reflections.ray-glossy.denoise")
     light_discs = (
         lit and (reference or settings.shadows == "ray-soft") and any(light.has_size for light in scene.lights)
     )
@@ -194,7 +202,8 @@ def find(scene: Scene, settings: Settings) -> Needs:
         probes=mirrors and reflecting.mirror_pass == "probe",
         probes_blurred=reflecting.mirror_pass == "probe"
         and any(reflective(m, cutoff) and not exact_mirror(m) for m in materials),
-        denoise=glossy and rough and settings.parameter("reflections.ray-glossy.denoise"),
+        denoise=denoise,
+        reuse=denoise and settings.parameter("reflections.ray-glossy.samples") <= REUSED_RAYS,
         denoise_shadows=visibility and light_discs and settings.parameter("shadows.ray-soft.denoise"),
         denoise_occlusion=occlusion and settings.ao == "ray" and settings.parameter("ao.ray.denoise"),
         emitters=reference and any(max(m.emissive) > 0 for m in materials),

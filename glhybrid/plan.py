@@ -69,7 +69,8 @@ def make(
         buffer_array=software,
         branchless=software,
     )
-    split = settings.reflections == "ray-lerp" and features.reflections and not features.blended
+    split = (settings.reflections == "ray-lerp" or features.glossy) and features.reflections and not features.blended
+    split = split and not features.sky_samples
     split = split and settings.kernels != "fused"
     split = split and (settings.kernels == "split" or not software)
     if split:

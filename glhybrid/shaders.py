@@ -40,7 +40,7 @@ _OPTIONAL = {  # those that not every scene has
 }  # fmt: skip
 _VERSION = "#version 430 core\n"
 _IMAGE_TYPES = range(0x904C, 0x906D)  # GL_IMAGE_1D .. GL_UNSIGNED_INT_IMAGE_2D_MULTISAMPLE_ARRAY
-_SAMPLER_TYPES = {0x8B5E, 0x8DC1, 0x8DD2, 0x8DD0, 0x8DD8, 0x8DC2, 0x8B60, 0x8DCA}
+_SAMPLER_TYPES = {0x8B5E, 0x8DC1, 0x8DD2, 0x8DD7, 0x8DD0, 0x8DD8, 0x8DC2, 0x8B60, 0x8DCA}
 
 
 class Source:

@@ -1,14 +1,13 @@
 """Filters noisy images over time and space: soft shadows light by light, the open sky, glossy reflections lobe by lobe.
 
 One guide a frame (normals, depths, ids, roughness); then for each signal one dispatch that gathers what earlier frames
-know, one that finds how bright it is about each pixel, and a few of a wavelet filter that compares pixels by that.
-Images of a signal are made when it is first filtered.
+know and, of few rays over a lobe, what those of neighbours met (lib/reuse.glsl); one that finds how bright it is about
+each pixel; and a few of a wavelet filter that compares pixels by that. A signal's images are made at its first use.
 
 Chosen: exact counts of samples and their measured variance steer everything, so that a converged image passes through
 unchanged. Rejected: a fixed blend factor and blur radii by roughness alone, which blur what needs no filter; pixels
-compared by their own few samples, which leaves the rarest of these as specks and edges torn; rays of neighbours
-weighted by densities (Stachowiak 2015), whose sky shines under what stands on a floor: 1.6 % of bias, half as much
-error again.
+compared by their own few samples, which leaves the rarest of these as specks and edges torn; a lobe's footprint taken
+for round, which at a slant blurs it across by twice its width.
 """
 
 from typing import Any
@@ -34,9 +33,11 @@ class Denoise:
         wanted = ["visibility"] * features.denoise_shadows + ["occlusion"] * features.denoise_occlusion
         if features.denoise:
             wanted += ["reflection"] + ["reflection_coat"] * features.clearcoat
-        self._programs = {}
+        self._programs, self._reuses = {}, {}
         for signal in wanted:
-            named = features.replace(denoise_signal=SIGNALS[signal])
+            reuse = features.reuse if signal == "reflection" else features.reuse_coat and signal == "reflection_coat"
+            self._reuses[signal] = reuse
+            named = features.replace(denoise_signal=SIGNALS[signal], reuse=reuse)
             self._programs[signal] = (
                 shaders.compute("denoise_temporal", named),
                 shaders.compute("denoise_level", named),
@@ -88,6 +89,8 @@ class Denoise:
             "history_frames": float(self._parameter(signal, "history")),
             "samples": float(self._parameter(signal, "samples")),
         }  # fmt: skip
+        if self._reuses[signal]:
+            resources["rays"] = targets.get(f"{signal}_rays", layers=self._parameter(signal, "samples"))
         if self._features.moving:
             resources["moved"] = targets.get("denoise_moved")
         temporal.dispatch(resources, targets.size)

@@ -1,4 +1,7 @@
-"""GGX-distributed rays per pixel, their hits lit with their own shadow rays -> radiance over albedo, lobe by lobe."""
+"""GGX-distributed rays per pixel, their hits lit with their own shadow rays -> radiance over albedo, lobe by lobe.
+
+Fused or split as `reflect` is (passes/reflect.py): split, each ray takes a dispatch of three programs.
+"""
 
 from typing import Any
 
@@ -16,13 +19,21 @@ class Glossy:
 
     name = "glossy"
 
-    def __init__(self, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings) -> None:
+    def __init__(
+        self, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings, split: bool = False
+    ) -> None:
         lobes = {"reflection": features.replace(glossy_coat=False)}
         if features.clearcoat:
-            lobes["reflection_coat"] = features.replace(glossy_coat=True, reason=False)
-        self._programs = {name: shaders.compute("glossy", lobe) for name, lobe in lobes.items()}
+            lobes["reflection_coat"] = features.replace(glossy_coat=True, reason=False, reuse=features.reuse_coat)
+        apart = features.shadow_bits and not features.mirror_shadows
+        self._reuses = {name: lobe.reuse for name, lobe in lobes.items()}
+        stems = ["glossy_ray", *["reflect_shadow"] * apart, "glossy_shade"] if split else ["glossy"]
+        self._programs = {name: [shaders.compute(stem, lobe) for stem in stems] for name, lobe in lobes.items()}
+        self._handed_on = ["mirror_hit", "mirror_ray", *["mirror_lit"] * features.shadow_bits] if split else []
         self._scene, self._features = scene, features
         self._rays = settings.parameter("reflections.ray-glossy.samples")
+        shadow_rays = len(scene.lights) if features.shadow_rays else 0
+        self._at_once = 1 if split else max(1, RAYS_AT_ONCE // (1 + shadow_rays + features.sky_samples))
 
     @property
     def lobes(self) -> tuple[str, ...]:
@@ -34,13 +45,15 @@ class Glossy:
         resources = {**self._scene.resources, "gbuffer_id": ids, "rays": self._rays}
         if self._features.reason:
             resources["out_reason"] = targets.get("reason")
-        shadow_rays = len(self._scene.lights) if self._features.shadow_rays else 0
-        at_once = max(1, RAYS_AT_ONCE // (1 + shadow_rays + self._features.sky_samples))
-        for lobe, program in self._programs.items():
+        resources |= {name: targets.get(name) for name in self._handed_on}
+        for lobe, programs in self._programs.items():
             resources["out_reflection"] = targets.get(lobe)
             if self._features.denoise:
                 resources["out_noise"] = targets.get(f"{lobe}_noise")
-            for first in range(0, self._rays, at_once):
-                resources |= {"ray_first": first, "ray_end": min(first + at_once, self._rays)}
-                program.dispatch(resources, targets.size)
+            if self._reuses[lobe]:
+                resources["out_rays"] = targets.get(f"{lobe}_rays", layers=self._rays)
+            for first in range(0, self._rays, self._at_once):
+                resources |= {"ray_first": first, "ray_end": min(first + self._at_once, self._rays)}
+                for program in programs:
+                    program.dispatch(resources, targets.size)
         return {lobe: targets.get(lobe) for lobe in self._programs}

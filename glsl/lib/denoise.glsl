@@ -52,6 +52,20 @@ bool inside(ivec2 px) { return all(greaterThanEqual(px, ivec2(0))) && all(lessTh
 // Diameter of a pixel, m.
 float pixel_width(float depth) { return frame.orthographic == 1u ? frame.pixel_angle : frame.pixel_angle * depth; }
 
+// Across and along the plane of incidence, both across the view; and the latter on the surface. What a lobe shows slides
+// over the surface as if across the view, since a mirrored view is as slanted as the view; and the lobe is narrower across
+// than along, by N.V.
+struct LobeAxes { vec3 across, along, up; float NoV; };
+
+LobeAxes lobe_axes(vec3 n, vec3 v) {
+    vec3 across = cross(n, v);
+    float slant = length(across);
+    across = slant > 1e-4 ? across / slant : basis(v)[0];
+    return LobeAxes(across, cross(v, across), cross(n, across), clamp(dot(n, v), 0.05, 1.0));
+}
+
+vec3 toward_eye(Guide g) { return frame.orthographic == 1u ? -frame.forward_ws : normalize(frame.eye_ws - g.position); }
+
 // 1 where another surface continues this one: on its plane, turned like it, as rough.
 float alike(Guide a, Guide b) {
     vec3 d = b.position - a.position;

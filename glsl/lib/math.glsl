@@ -4,6 +4,7 @@ const float PI = 3.14159265358979;
 float max3(vec3 v) { return max(v.x, max(v.y, v.z)); }
 float min3(vec3 v) { return min(v.x, min(v.y, v.z)); }
 float square(float x) { return x * x; }
+vec2 square2(vec2 x) { return x * x; }
 float pow5(float x) { float x2 = x * x; return x2 * x2 * x; }
 vec3 fresnel_schlick(vec3 f0, float f90, float cos_theta) { return f0 + (vec3(f90) - f0) * pow5(clamp(1.0 - cos_theta, 0.0, 1.0)); }
 float luminance(vec3 rgb) { return dot(rgb, vec3(0.2126, 0.7152, 0.0722)); }   // Rec. 709

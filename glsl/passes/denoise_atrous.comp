@@ -14,7 +14,13 @@ layout(SIGNAL_FORMAT) uniform SIGNAL_IMAGE out_signal;
 layout(rgba32f) writeonly uniform image2D out_filtered;
 #endif
 
+#if USE_REUSE
+const int REACH = 1;                     // most of it is done
+const float KERNEL[2] = float[](0.5, 0.25);
+#else
+const int REACH = 2;
 const float KERNEL[3] = float[](0.375, 0.25, 0.0625);    // cubic B-spline
+#endif
 
 const float LENGTH_SHARE = IS_VISIBILITY ? 1.0 : 2.0;
 const float LEAST_PIXELS = 2.0;
@@ -33,22 +39,22 @@ void main() {
         float m = luminance(center.rgb);
         vec2 about = texelFetch(level, AT(px), 0).xy;
         float least = square(1e-5 * about.x) + 1e-30;
-        // What a lobe shows slides along the surface as if across the view: a mirrored view is as slanted as the view.
-        vec3 v = IS_VISIBILITY ? vec3(0.0) : frame.orthographic == 1u ? -frame.forward_ws : normalize(frame.eye_ws - g.position);
+        LobeAxes axes = lobe_axes(g.n, toward_eye(g));
+        float len_across = max(len * axes.NoV, LEAST_PIXELS * width);
         if (len > 0.3 * float(stride) * width) {
             float weight = square(KERNEL[0]);
             result = center * vec4(vec3(weight), square(weight));
-            for (int y = -2; y <= 2; y++)
-                for (int x = -2; x <= 2; x++) {
+            for (int y = -REACH; y <= REACH; y++)
+                for (int x = -REACH; x <= REACH; x++) {
                     ivec2 q = px + stride * ivec2(x, y);
                     if ((x == 0 && y == 0) || !inside(q)) continue;
                     vec4 c = texelFetch(filtered, q, 0);
                     if (c.a < 0.0) continue;
                     Guide there = unpack_guide(texelFetch(guide, q, 0), vec2(q));
                     vec3 d = there.position - g.position;
-                    float d2 = dot(d, d) - square(dot(d, v));
+                    float d2 = IS_VISIBILITY ? dot(d, d) / square(len) : square(dot(d, axes.across) / len_across) + square(dot(d, axes.along) / len);
                     vec2 other = texelFetch(level, AT(q), 0).xy;
-                    float apart = 0.5 * d2 / square(len)
+                    float apart = 0.5 * d2
                                 + square(other.x - about.x) / (square(LEVEL_DEVIATIONS) * (other.y + about.y) + least)
                                 + square(luminance(c.rgb) - m) / (square(DEVIATIONS) * (c.a + center.a) + least);
                     float w = KERNEL[abs(x)] * KERNEL[abs(y)] * alike(g, there) * exp(-apart);

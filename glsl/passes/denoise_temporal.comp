@@ -17,14 +17,17 @@ uniform usampler2D guide_before;
 #if USE_MOVING
 uniform sampler2D moved;
 #endif
+uniform float history_frames, samples;
+#if USE_REUSE
+#include "lib/reuse.glsl"
+#endif
 layout(SIGNAL_FORMAT) writeonly uniform SIGNAL_IMAGE out_history;
 layout(r16f) writeonly uniform SIGNAL_IMAGE out_counts;
 layout(rgba32f) writeonly uniform image2D out_filtered;    // mean; a: variance of its luminance, < 0: not to be touched
-uniform float history_frames, samples;
 
 // This frame's samples about the pixel. All of luminance; variance: of one sample, within pixels if these hold several;
 // worth: how many equal pixels would be as good.
-struct Near { float mean, variance, extent, distance, worth; };
+struct Near { float mean, variance, extent, distance, nearest, worth; };
 
 bool has_signal(vec4 s) { return IS_VISIBILITY ? s.a >= 0.0 : s.a > 0.0; }
 
@@ -47,7 +50,7 @@ float length_of(vec4 s, Guide g) {
 }
 
 Near look_around(ivec2 px, Guide g) {
-    float sum = 0.0, squares = 0.0, within = 0.0, nearness = 0.0, weight = 0.0, weights2 = 0.0, known = 0.0, several = 0.0, inverse = 0.0;
+    float sum = 0.0, squares = 0.0, within = 0.0, nearness = 0.0, weight = 0.0, weights2 = 0.0, known = 0.0, several = 0.0, inverse = 0.0, inverse2 = 0.0;
     for (int y = -LEVEL_REACH; y <= LEVEL_REACH; y++)
         for (int x = -LEVEL_REACH; x <= LEVEL_REACH; x++) {
             ivec2 q = px + ivec2(x, y);
@@ -64,7 +67,8 @@ Near look_around(ivec2 px, Guide g) {
             if (n.y > 1.0) { within += w * max(n.x - 1.0, 0.0) * m * m * n.y / (n.y - 1.0); several += w; }
             weight += w;
             weights2 += w * w;
-            inverse += w / max(s.a, 1e-30);
+            inverse += w / max(s.a, 1e-15);
+            inverse2 += w / square(max(s.a, 1e-15));
             float len = length_of(s, g);
             if (len > 0.0) { nearness += w / len; known += w; }
         }
@@ -80,6 +84,7 @@ Near look_around(ivec2 px, Guide g) {
     }
     near.extent = nearness > 0.0 ? known / nearness : 0.0;
     near.distance = min(weight / max(inverse, 1e-30), 1e15);
+    near.nearest = inverse2 > 1e-28 ? min(inverse / inverse2, 1e15) : 1e15;
     return near;
 }
 
@@ -89,6 +94,11 @@ vec2 pixel_before(vec3 position_ws) {
     return clip.w > 0.0 ? (clip.xy / clip.w * 0.5 + 0.5) * vec2(frame.size_px) - 0.5 : vec2(-1e6);
 }
 
+// How many frames count, this one with. Only one of the distances that a lobe sees moves as the image is thought to. The
+// rest drifts: by `drift` of the length over which it changes, a frame. F frames are F drifts off, and their noise is that of
+// F times as many rays: the sum of both squares is least at the cube root.
+float frames_of(float drift, float worth) { return min(pow(1.0 / max(2.0 * worth * square(drift), 1e-12), 1.0 / 3.0), history_frames); }
+
 // How much of a lobe's image moves with what is reflected, not with the surface. NVIDIA's NRD, `GetSpecularDominantFactor`.
 float mirror_share(float roughness, float NoV) {
     float a = 0.298475 * log(39.4115 - 39.0029 * roughness);
@@ -96,10 +106,12 @@ float mirror_share(float roughness, float NoV) {
 }
 
 // level: luminance about the point; variance: of one sample there; frames: how many may count.
-struct Past { vec4 mean; float level, variance, samples, frames; };
+struct Past { vec4 mean; float level, variance, samples, drift; };
+
+const float DRIFT = 0.5;
 
 Past look_back(ivec2 px, Guide g, Near near) {
-    Past past = Past(vec4(0.0), 0.0, 0.0, 0.0, history_frames - 1.0);
+    Past past = Past(vec4(0.0), 0.0, 0.0, 0.0, 0.0);
     if (frame.history == HISTORY_NONE) return past;
     if (frame.history == HISTORY_SAME_VIEW) {
         uvec4 bits = texelFetch(guide_before, px, 0);
@@ -119,14 +131,12 @@ Past look_back(ivec2 px, Guide g, Near near) {
     float depth = dot(frame.previous_depth, vec4(was, 1.0));
     vec2 at = pixel_before(was);
 #if USE_DENOISE_SIGNAL < 3
-    vec3 v = frame.orthographic == 1u ? -frame.forward_ws : normalize(frame.eye_ws - g.position);
+    vec3 v = toward_eye(g);
     // The point that a mirror would show, behind the surface; the sky's is so far that it stands still.
     float share = mirror_share(g.roughness, clamp(dot(g.n, v), 0.0, 1.0));
     at = pixel_before(was - v * (min(near.distance, 1e4 * max(length(frame.eye_ws - g.position), g.depth)) * share));
 #endif
-    // Only one of the distances that a lobe sees moves like this. Others drift, by up to as much as the image moves on its
-    // surface, and must not drift further than a share of what the lobe blurs.
-    past.frames = min(past.frames, 1.0 + 0.1 * near.extent / (pixel_width(g.depth) * max(distance(at, pixel_before(was)), 1e-3)));
+    past.drift = DRIFT * pixel_width(g.depth) * distance(at, pixel_before(was)) / max(near.extent, 1e-30);
     ivec2 corner = ivec2(floor(at));
     vec2 f = at - floor(at);
     float weight = 0.0;
@@ -181,7 +191,20 @@ void main() {
         Near near = look_around(px, g);
         Past past = look_back(px, g, near);
         if (past.samples > 0.0) hold(past, near, n.y);
-        past.samples = min(past.samples, past.frames * n.y);
+#if USE_REUSE
+        float trusted = min(past.samples, 8.0 * (frames_of(past.drift, n.y) - 1.0) * n.y);
+        Reused reused = reuse_rays(px, g, toward_eye(g), length_of(vec4(near.nearest), g), near.nearest, trusted);
+#if USE_SKY_SAMPLES
+        // What rays to lamps brought is this pixel's alone, and so is its share of the noise.
+        vec3 beside = max(s.rgb - reused.own, vec3(0.0));
+        float share = luminance(beside) / max(luminance(reused.mean + beside), 1e-30);
+        reused.mean += beside;
+        reused.worth = 1.0 / mix(1.0 / reused.worth, 1.0 / n.y, share);
+#endif
+        s.rgb = reused.mean;
+        n.y = reused.worth;
+#endif
+        past.samples = min(past.samples, max(frames_of(past.drift, n.y) - 1.0, 0.0) * n.y);
         count = past.samples + n.y;
         float now = n.y / count;
         mean.rgb = mix(past.mean.rgb, s.rgb, now);

@@ -256,6 +256,11 @@ def test_no_noise_no_filter(renderer: gh.Renderer) -> None:
     assert not any("coat" in i for i in both.images) and "denoise_moved" not in both.images
     coated = Ran(renderer, scene(replace(rough, clearcoat=1.0)), **glossy())
     assert {"reflection_coat", "reflection_coat_history_odd"} <= coated.images
+    # Rays are kept one by one only where there are few, for filters alone.
+    assert "reflection_rays" in both.images and {"reflection_rays", "reflection_coat_rays"} <= coated.images
+    with gh.Renderer(context=renderer.context) as fresh:
+        for ran in (Ran(fresh, scene(rough), **glossy(samples=5)), Ran(fresh, scene(rough), **glossy(denoise=False))):
+            assert not any("rays" in i for i in ran.images) and not ran.names("reuse")
 
 
 UNTRACED = [

@@ -49,12 +49,13 @@ BARS = {
     "prefilter, largest": Bar(0.08, "measured 0.048, beside a lamp 2,000 times brighter; 256 samples were 8.0 off"),
     "half float": Bar(1e-3, "convolutions and the split-sum table are half floats, 2^-11, twice"),
     # test_denoise.py
-    "glossy, 1, RMSE": Bar(0.024, "16 random rays leave 0.038; measured 0.020 over six seeds"),
-    "glossy, 4, RMSE": Bar(0.015, "measured 0.0126 over six seeds"),
-    "glossy, 1, FLIP": Bar(0.034, "measured 0.031 over six seeds; 0.024 takes three frames of one ray, or two of two"),
-    "glossy, 4, FLIP": Bar(
-        0.024, "what 16 random rays were found to leave in such a scene, 0.030 in this; measured 0.0215"
-    ),
+    "glossy, 1, RMSE": Bar(0.018, "16 random rays leave 0.038; measured 0.0147 over six seeds"),
+    "glossy, 2, RMSE": Bar(0.014, "measured 0.0117 over six seeds"),
+    "glossy, 4, RMSE": Bar(0.0125, "measured 0.0102 over six seeds"),
+    "glossy, 1, FLIP": Bar(0.029, "measured 0.026 over six seeds; 0.024 takes two frames of one ray"),
+    "glossy, 2, FLIP": Bar(0.024, "what 16 random rays were found to leave, 0.030 in this scene; measured 0.021"),
+    "glossy, 4, FLIP": Bar(0.021, "measured 0.0183 over six seeds"),
+    "glossy, moving": Bar(1.05, "error of a frame after eight others over that of one alone; measured 0.70 to 1.024"),
     # test_display.py
     "display step": Bar(0.75, "of 255: half a step is rounding, the rest pow and log2 of a GPU"),
     # test_features.py

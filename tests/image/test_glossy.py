@@ -168,3 +168,16 @@ def test_a_sized_lamp_lights_what_is_reflected_softly(renderer: "Renderer") -> N
     on = (direct["instance_id"] == 0) & (direct["radiance"].max(-1) < 0.02)
     assert on.mean() > 0.2 and want.mean[on].mean() > 0.02
     assert abs(got.mean[on].sum() / want.mean[on].sum() - 1) < 0.01
+
+
+@pytest.mark.parametrize("denoise", [False, True])
+def test_programs_apart_make_the_same_picture(renderer: "Renderer", denoise: bool) -> None:
+    """As a GPU runs it, a ray at a time in several programs: only sums are rounded in another order."""
+    world = lit(0.3)
+    world = world.replace(environment=metal_floor(0.0).environment)
+    fused, split = (
+        draw(renderer, world, 3, size=SIZE, kernels=kernels, parameters={"denoise": denoise})["radiance"]
+        for kernels in ("fused", "split")
+    )
+    assert np.abs(split - fused).max() < (1e-2 if denoise else 1e-5) * fused.mean()
+    assert np.abs(split - fused).mean() < 1e-5 * fused.mean()
