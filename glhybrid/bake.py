@@ -42,7 +42,11 @@ class Bake:
         self._scene, self._map, self._progress = scene, map_, progress
         self._components = 4 if features.blended else 1
         self._samples = int(settings.parameter("shadows.baked.samples"))
-        self._points = self._tracer.points(progress)
+        try:
+            self._points = self._tracer.points(progress)
+        except BaseException:
+            self.close()
+            raise
         self._chart = np.zeros(map_.pages, np.int32)
         self._chart.reshape(-1)[map_.index] = map_.chart
         self._inside = self._points[:, 3] == BAKE_INSIDE

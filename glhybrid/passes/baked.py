@@ -60,8 +60,12 @@ class Baked:
             "lightmap": atlas, "lightmap_uv": self._texels(layout_.uv), "lightmap_places": self._texels(layout_.places),
             "lightmap_pages": pages,
         }  # fmt: skip
-        self.from_cache = self._fill(atlas, progress)
-        self._program = shaders.compute("baked", features)
+        try:
+            self.from_cache = self._fill(atlas, progress)
+            self._program = shaders.compute("baked", features)
+        except BaseException:  # a bake may be given up: nobody else knows of these
+            self.release()
+            raise
 
     def _number(self, name: str) -> Any:
         return self._settings.parameter(f"shadows.baked.{name}")
