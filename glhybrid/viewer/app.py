@@ -138,6 +138,8 @@ class Viewer:
         elif isinstance(event, Drop):
             for path in event.paths[:1]:
                 self.open(path)
+            if len(event.paths) > 1:
+                self.session.say(f"one scene at a time: {len(event.paths) - 1} more dropped files are left out")
         else:
             self.gui.feed([event])
             over_panel = self.controls.pointer[0] >= self.picture_size[0]

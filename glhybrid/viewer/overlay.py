@@ -1,6 +1,7 @@
 """What is drawn over the picture region: the pictures themselves, divider, labels, legend, selection, messages."""
 
 import math
+import textwrap
 import time as clock
 from typing import Any
 
@@ -90,8 +91,12 @@ class Overlay:
             lines.append((session.show.replace("_", " "), ACCENT))
         elif session.mode in ("difference", "flip"):
             lines.append((f"{'FLIP' if session.mode == 'flip' else 'difference'} from {self._other()}", ACCENT))
-        if pictures.moving:
-            rate = 1e3 / max(pictures.frame_ms, 1e-3)
+        if pictures.moving and not pictures.frame_ms:
+            pass  # nothing was drawn yet
+        elif pictures.moving:
+            rate = 1e3 / pictures.frame_ms
+            if other := pictures.stands_in(side):
+                lines.append((f"{other} while light moves", ACCENT))
             lines.append((f"{rate:.{0 if rate >= 10 else 1}f} frames/s at {pictures.scale:.0%}", DIM))
         elif session.show != PICTURE and session.mode in ("single", "split"):
             lines.append(("one ray through each pixel's centre", DIM))
@@ -185,10 +190,11 @@ class Overlay:
             paint.add_circle((x, y), 5 * self._scale, ACCENT, 0, 1.6 * self._scale)
 
     def _messages(self, paint: Any, width: int, height: int) -> None:
-        now, y = clock.monotonic(), height - 14 * self._scale - self._below()
+        now, y, imgui = clock.monotonic(), height - 14 * self._scale - self._below(), self._gui.imgui
+        room = max(int((width - 40 * self._scale) / imgui.calc_text_size("n").x), 20)  # characters
         for said in reversed([s for s in self._session.said if s.until > now]):
-            lines = [(line[:110], BAD if said.error else INK) for line in said.text.splitlines()[:14]]
-            imgui = self._gui.imgui
+            broken = [part for line in said.text.splitlines() for part in textwrap.wrap(line, min(room, 110)) or [""]]
+            lines = [(line, BAD if said.error else INK) for line in broken[:14]]
             tall = (imgui.get_text_line_height() + 2 * self._scale) * len(lines) + 12 * self._scale
             y -= tall + 6 * self._scale
             self._label(paint, width - 10 * self._scale, y, lines, right=True)

@@ -118,6 +118,7 @@ class Panels:
             imgui.progress_bar(picture.share, (-1, 0), f"{picture.done} of {picture.total} paths")
             self._slider("samples", "paths", 1, 4096)
         if session.mode in ("difference", "flip"):
+            imgui.align_text_to_frame_padding()
             imgui.text("Against")
             for key, label in (("reference", "reference"), ("b", "B")):
                 imgui.same_line()
@@ -134,6 +135,7 @@ class Panels:
         settings: Settings = getattr(session, side)
         imgui.push_id(side)
         looked_at = side in self._pictures.shown()
+        imgui.align_text_to_frame_padding()
         imgui.text_colored((0.93, 0.62, 0.26, 1.0) if looked_at else (0.6, 0.6, 0.6, 1.0), side.upper())
         imgui.same_line()
         imgui.begin_group()

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from glhybrid.errors import GlhybridError
 from glhybrid.pace import Interrupted
 from glhybrid.renderer import Renderer
-from glhybrid.scene import U8
+from glhybrid.scene import U8, Scene
 from glhybrid.settings import Settings
 from glhybrid.staged import Staged
 from glhybrid.timing import Progress
@@ -62,6 +62,8 @@ class Pictures:
         self._painting: dict[Side, tuple[Any, Future[tuple[U8, views.Legend]]]] = {}  # under way
         self._good: dict[str, Settings] = {"a": session.a, "b": session.b}
         self._moved_at = 0.0
+        self._lit: tuple[Scene, float] | None = None  # scene and time, the last time that nothing moved
+        self._relit = False, False  # whether light or time are others than then
         self._moving = False
         self._begun: dict[Side, Any] = {}
         self._stuck: Any = None
@@ -98,8 +100,8 @@ class Pictures:
 
     def _as(self, side: Side) -> Side:
         """The side that draws this one's picture: the first with the same settings."""
-        plain = _plain(self.session.settings(side))
-        return next(s for s in SIDES if _plain(self.session.settings(s)) == plain)
+        plain = _plain(self.settings(side))
+        return next(s for s in SIDES if _plain(self.settings(s)) == plain)
 
     def picture(self, side: Side) -> Picture:
         return self.sides[self._as(side)]
@@ -137,6 +139,9 @@ class Pictures:
         elif self._moving and now - self._moved_at > REST_S and not session.transport.playing:
             self._moving = False
         self.scale = self.budget.next() if self._moving else 1.0
+        lit = session.lit_scene(), session.transport.time
+        self._lit = lit if not self._moving or self._lit is None else self._lit
+        self._relit = self._lit[0] is not lit[0], self._lit[1] != lit[1]
         try:
             changed = self._draw(now)
             self._good = {"a": session.a, "b": session.b}
@@ -155,22 +160,33 @@ class Pictures:
         )  # fmt: skip
 
     def _key(self) -> tuple[Any, ...]:
-        return tuple(self._what(self._as(side)) for side in self.shown())
+        return tuple(self._what(self._as(side), self.session.settings(side)) for side in self.shown())
 
     def _turn_for(self, picture: Picture) -> Callable[[], None] | None:
         return self._turn if self._software or picture.last_ms > LONG_MS else None
 
-    def _what(self, side: Side) -> tuple[Any, ...]:
+    def settings(self, side: Side) -> Settings:
+        """What a side is drawn with: while light moves, something else for what is made ahead of light."""
+        return _standing_in(self.session.settings(side), *self._relit)
+
+    def stands_in(self, side: Side) -> str:
+        """In words; empty unless it does."""
+        wanted, drawn = self.session.settings(side), self.settings(side)
+        pairs = (wanted.shadows, drawn.shadows), (wanted.reflections, drawn.reflections)
+        return ", ".join(f"{theirs} instead of {ours}" for ours, theirs in pairs if ours != theirs)
+
+    def _what(self, side: Side, settings: Settings) -> tuple[Any, ...]:
         """All that a side's picture depends on, but for how large it is drawn."""
         session = self.session
-        plain, aovs = _plain(session.settings(side)), (session.show,) if session.show in STAGED_AOVS else ()
+        plain, aovs = _plain(settings), (session.show,) if session.show in STAGED_AOVS else ()
         return session.lit_scene(), plain, session.moves, session.transport.time, self.size, aovs
 
     def _draw(self, now: float) -> bool:
         session, changed = self.session, False
         pixels = scaled(self.size, self.scale)
         for side in self.wanted():
-            settings, what = session.settings(side), self._what(side)
+            settings = self.settings(side)
+            what = self._what(side, settings)
             old, drawn_at = self._begun.get(side, (None, None))
             due = old != what or (not self._moving and drawn_at != self.size)
             if due and not (side == "reference" and self._moving):
@@ -357,6 +373,7 @@ class Pictures:
         for idle in set(SIDES) - set(self.wanted()):
             self.sides[idle].drop()
         self._begun.clear()
+        self._lit = None
         self._arrays.clear()
         self._painting.clear()
         for side in SIDES:
@@ -372,6 +389,16 @@ def _paint(name: str, array: NDArray[Any], look: views.Look) -> tuple[U8, views.
     """An array as a texture's pixels, (H, W, 4), and its legend."""
     rgb, legend = views.colour(name, array, look)
     return views.opaque(rgb), legend
+
+
+@lru_cache(64)
+def _standing_in(settings: Settings, lit: bool, posed: bool) -> Settings:
+    """Light maps and probes take their time: while what they hold moves, rays and the sky stand for them."""
+    if lit and settings.shadows == "baked":
+        settings = settings.replace(shadows="ray")
+    if (lit or posed) and settings.reflections == "probe":
+        settings = settings.replace(reflections="env")
+    return settings
 
 
 @lru_cache(64)

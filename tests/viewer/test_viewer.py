@@ -248,6 +248,23 @@ def test_a_technique_that_fails_leaves_the_last_good_one(open_viewer: Open, monk
     assert np.array_equal(plain(viewer), before)
 
 
+@pytest.mark.parametrize("made_ahead", ["baked", "probe"])
+def test_what_is_made_ahead_of_light_waits_until_it_rests(open_viewer: Open, context: Context, made_ahead: str) -> None:
+    """In motion something quicker stands for it, and says so; at rest it is `render`'s picture under the new light."""
+    chosen = Settings(shadows="baked", parameters={"shadows.baked.texels": 2.0}, aa=1)
+    viewer = open_viewer("yard", a=chosen if made_ahead == "baked" else Settings(reflections="probe", aa=1))
+    viewer.settle()
+    before = viewer.pictures.sides["a"].staged
+    press(viewer, "x", "x")
+    assert not viewer.pictures.stands_in("a")
+    viewer.session.turn_light(0, 75.0, 30.0)
+    viewer.tick()
+    assert made_ahead in viewer.pictures.stands_in("a") and made_ahead in str(viewer.session.a)
+    viewer.settle()
+    assert not viewer.pictures.stands_in("a") and viewer.pictures.sides["a"].staged is not before
+    assert np.array_equal(plain(viewer), rendered(viewer, context, viewer.session.command(viewer.picture_size)))
+
+
 def test_a_clip_plays_and_stops_at_renders_picture(open_viewer: Open, context: Context, models: Path) -> None:
     """A skinned model in a split view: both sides move, and where it stops it is `render --time`'s picture."""
     source = str(models / "Fox" / "Fox.glb")
