@@ -42,6 +42,11 @@ class Differ:
         self._sums: Any = None
         self._maps: dict[str, Any] = {}
 
+    def prepare(self) -> None:
+        """Compiles what is not yet."""
+        for stem in ("errors", "difference"):
+            self._shaders.compute(stem, Features())
+
     def error(self, ours: Picture, theirs: Picture) -> Error:
         """All but FLIP. Of pictures of one size that were brought to display."""
         width, height = ours.size

@@ -65,6 +65,7 @@ class Measure:
         if self._differ is None:
             palette = self._upload("ramp magma", views.palette("magma")[None])
             self._differ = compare.Differ(self._renderer.context, self._renderer.shaders, palette)
+            self._differ.prepare()
         return self._differ
 
     def deliver(self, wait: bool = False) -> bool:

@@ -195,6 +195,8 @@ class Pictures:
                 for measured in SIDES if side == "reference" else (side,):
                     self.measure.forget(measured)
             self.sides[side].redisplay(settings)
+        if self._other() is not None:
+            self.measure.differ  # noqa: B018  # its programs are compiled before anybody waits for them
         changed |= self._take_painted()
         if session.show != PICTURE and session.mode in ("single", "split"):
             changed |= self._make_arrays(pixels)
@@ -208,6 +210,8 @@ class Pictures:
             changed |= ms > 0
             if (clock.monotonic() - now) * 1e3 > SLICE_MS:
                 break
+            if self._turn is not None:
+                self._turn()  # between samples nothing is lost
         return self._measure() or changed
 
     def _in_motion(self) -> bool:

@@ -12,7 +12,6 @@ Loopback unless told otherwise, a random token in the URL, and requests whose Ho
 import asyncio
 import contextlib
 import hmac
-import io
 import json
 import logging
 import math
@@ -21,6 +20,7 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -28,13 +28,13 @@ from urllib.parse import urlsplit
 from glhybrid.context import Context, open_context
 from glhybrid.errors import SettingError
 from glhybrid.viewer import need
+from glhybrid.viewer.encoder import SLOTS, Coded, Encoders
 from glhybrid.viewer.events import KEYS, Button, Event, Focus, Key, Move, Text, Wheel
 from glhybrid.viewer.surface import Memory
 
 log = logging.getLogger("glhybrid")
 SMALLEST, LARGEST = (160, 120), (4096, 4096)  # pixels of a browser's window that are served
 MOST_EVENTS = 1000  # waiting; more are dropped
-QUALITY = 85  # of JPEG
 SWITCH_S = 0.0005  # Python's threads take turns: three of them hand a frame on, by default after 5 ms each
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 PAGES = {"/": ("page.html", "text/html"), "/page.js": ("page.js", "text/javascript")}
@@ -75,25 +75,6 @@ def parse(text: str) -> Event | tuple[int, int] | str | None:
     return None
 
 
-class Picture:
-    """A frame on its way. pixels: RGBA, row 0 at the bottom. tag: Web.tag when it was presented."""
-
-    def __init__(self, pixels: bytes, size: tuple[int, int], exact: bool, tag: Any) -> None:
-        self.pixels, self.size, self.exact, self.tag = pixels, size, exact, tag
-
-    def encode(self) -> bytes:
-        """PNG if exact, else JPEG with its colours at half size, which takes two thirds of the time."""
-        from PIL import Image
-
-        image = Image.frombytes("RGB", self.size, self.pixels, "raw", "RGBX", 0, -1)
-        buffer = io.BytesIO()
-        if self.exact:
-            image.save(buffer, "PNG", compress_level=1)
-        else:
-            image.save(buffer, "JPEG", quality=QUALITY, subsampling=2)
-        return buffer.getvalue()
-
-
 class Web(Memory):
     """A surface whose display is a browser. url: to open there. Raises SettingError for an address that is taken.
 
@@ -110,7 +91,9 @@ class Web(Memory):
         self._lock = threading.Condition()
         self._queue: deque[Event] = deque()
         self._wanted_size = size
-        self._latest: Picture | None = None
+        self._latest: Coded | None = None
+        self._coding: list[Coded] = []  # whose slots are being read
+        self._encoders = Encoders(4 * LARGEST[0] * LARGEST[1])
         self.tag: Any = None
         self.sent: Callable[[Any], None] = lambda tag: None
         self._client: Any = None
@@ -124,6 +107,7 @@ class Web(Memory):
         self._thread.start()
         started.wait()
         if self._failure is not None:
+            self._encoders.close()
             sys.setswitchinterval(self._switch_s)
             context.close()
             reason = self._failure.strerror or self._failure
@@ -160,9 +144,20 @@ class Web(Memory):
         super().present(image, moving)
         if self._client is None:
             return
-        self.context.raw.glFinish()  # unlike read(), it lets the server's thread go on
-        self._latest = Picture(image.read(components=4), image.size, not moving, self.tag)
+        self.context.raw.glFinish()  # unlike read_into(), it lets the server's thread go on
+        with self._lock:
+            while not (free := self._free()):
+                self._lock.wait(0.1)
+        with self._encoders.slot(free[0]) as slot:
+            image.read_into(slot, components=4)
+        with self._lock:
+            self._latest = Coded(free[0], image.size, not moving, self.tag)
         self._call(self._wake)
+
+    def _free(self) -> list[int]:
+        """Slots whose pixels nobody needs."""
+        kept = self._coding if self._latest is None else [self._latest, *self._coding]
+        return [slot for slot in range(SLOTS) if all(slot != frame.slot for frame in kept)]
 
     def title(self, text: str) -> None:
         super().title(text)
@@ -181,6 +176,7 @@ class Web(Memory):
             self._tell(bye="the viewer was closed")
             self._call(self._stop.set)
             self._thread.join(5)
+            self._encoders.close()
             sys.setswitchinterval(self._switch_s)
 
     def _call(self, function: Any, *arguments: Any) -> None:
@@ -294,7 +290,7 @@ class Web(Memory):
         One in motion waits for no exact one: neither until it is made, nor sent, nor shown.
         """
         assert self._news is not None
-        taken: Picture | None = None
+        taken: Coded | None = None
         coding: asyncio.Future[bytes] | None = None
         while not socket.closed:
             self._news.clear()
@@ -312,11 +308,22 @@ class Web(Memory):
                 latest is not None and latest is not taken
                 and (not unseen or (all(unseen) and not latest.exact))
                 and (coding is None or (taken is not None and taken.exact and not latest.exact))
+                and not (latest.exact and any(frame.exact for frame in self._coding))
             ):  # fmt: skip
-                taken, coding = latest, asyncio.ensure_future(self._loop.run_in_executor(None, latest.encode))
-                coding.add_done_callback(lambda _: self._wake())
+                with self._lock:
+                    taken = self._latest
+                    assert taken is not None
+                    self._coding.append(taken)
+                coding = asyncio.ensure_future(self._loop.run_in_executor(None, self._encoders.encode, taken))
+                coding.add_done_callback(partial(self._coded, taken))
             else:
                 await self._news.wait()
+
+    def _coded(self, frame: Coded, _: Any) -> None:
+        with self._lock:
+            self._coding.remove(frame)
+            self._lock.notify()
+        self._wake()
 
     async def _send_order(self, order: dict[str, str]) -> None:
         if self._client is not None and not self._client.closed:
