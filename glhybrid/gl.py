@@ -33,6 +33,7 @@ GL_BUFFER, GL_SHADER, GL_PROGRAM, GL_QUERY, GL_TEXTURE = 0x82E0, 0x82E1, 0x82E2,
 GL_FRAMEBUFFER, GL_RENDERBUFFER, GL_VERTEX_ARRAY, GL_SAMPLER = 0x8D40, 0x8D41, 0x8074, 0x82E6
 GL_TIMESTAMP, GL_QUERY_RESULT, GL_QUERY_RESULT_AVAILABLE = 0x8E28, 0x8866, 0x8867
 GL_DEBUG_SOURCE_APPLICATION = 0x824A
+GL_FRAGMENT_SHADER, GL_VERTEX_SHADER, GL_COMPUTE_SHADER, GL_COMPLETION_STATUS = 0x8B30, 0x8B31, 0x91B9, 0x91B1
 GL_COPY_READ_BUFFER, GL_STREAM_READ, GL_MAP_READ_BIT = 0x8F36, 0x88E1, 0x1
 GL_SYNC_GPU_COMMANDS_COMPLETE, GL_SYNC_FLUSH_COMMANDS_BIT = 0x9117, 0x1
 GL_TIMEOUT_EXPIRED, GL_WAIT_FAILED = 0x911B, 0x911D
@@ -60,6 +61,7 @@ _UINTS, _INTS = POINTER(c_uint), POINTER(c_int)
 # name: (result, arguments), from the OpenGL 4.3 core specification.
 _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "glActiveTexture": (None, (_ENUM,)),
+    "glAttachShader": (None, (_UINT, _UINT)),
     "glBindBuffer": (None, (_ENUM, _UINT)),
     "glBindFramebuffer": (None, (_ENUM, _UINT)),
     "glBindTexture": (None, (_ENUM, _UINT)),
@@ -69,7 +71,12 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "glClearBufferuiv": (None, (_ENUM, _INT, _UINTS)),
     "glClientWaitSync": (_ENUM, (c_void_p, _BITS, c_uint64)),
     "glClipControl": (None, (_ENUM, _ENUM)),  # 4.5 or ARB_clip_control
+    "glCompileShader": (None, (_UINT,)),
+    "glCreateProgram": (_UINT, ()),
+    "glCreateShader": (_UINT, (_ENUM,)),
+    "glDeleteProgram": (None, (_UINT,)),
     "glDeleteQueries": (None, (_SIZE, _UINTS)),
+    "glDeleteShader": (None, (_UINT,)),
     "glDeleteSync": (None, (c_void_p,)),
     "glDeleteTextures": (None, (_SIZE, _UINTS)),
     "glFenceSync": (c_void_p, (_ENUM, _BITS)),
@@ -90,6 +97,7 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "glIsFramebuffer": (c_ubyte, (_UINT,)),
     "glIsProgram": (c_ubyte, (_UINT,)),
     "glIsTexture": (c_ubyte, (_UINT,)),
+    "glLinkProgram": (None, (_UINT,)),
     "glMapBufferRange": (c_void_p, (_ENUM, _OFFSET, _OFFSET, _BITS)),
     "glIsVertexArray": (c_ubyte, (_UINT,)),
     "glMemoryBarrier": (None, (_BITS,)),
@@ -100,6 +108,7 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "glProgramUniform1ui": (None, (_UINT, _INT, _UINT)),
     "glPushDebugGroup": (None, (_ENUM, _UINT, _SIZE, c_char_p)),
     "glQueryCounter": (None, (_UINT, _ENUM)),
+    "glShaderSource": (None, (_UINT, _SIZE, POINTER(c_char_p), _INTS)),
     "glTexBuffer": (None, (_ENUM, _ENUM, _UINT)),
     "glTexBufferRange": (None, (_ENUM, _ENUM, _UINT, _OFFSET, _OFFSET)),
     "glTexImage2D": (None, (_ENUM, _INT, _INT, _SIZE, _SIZE, _INT, _ENUM, _ENUM, c_void_p)),
@@ -136,6 +145,12 @@ class GL:
         """One integer of the state or limits; 0 and a GL error if the driver does not know it."""
         value = c_int64(0)
         self.glGetInteger64v(name, ctypes.byref(value))
+        return value.value
+
+    def get_program(self, program: int, name: int) -> int:
+        """One property of a program."""
+        value = c_int(0)
+        self.glGetProgramiv(program, name, ctypes.byref(value))
         return value.value
 
     def get_integer_indexed(self, name: int, index: int) -> int:

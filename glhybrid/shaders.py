@@ -16,9 +16,10 @@ from typing import Any
 import moderngl
 
 from glhybrid import layout
+from glhybrid.compile_aside import CompileAside
 from glhybrid.context import TEXTURES, Context
 from glhybrid.errors import GeometryError, ShaderError
-from glhybrid.gl import BufferTexture
+from glhybrid.gl import GL_COMPUTE_SHADER, GL_FRAGMENT_SHADER, GL_VERTEX_SHADER, BufferTexture
 from glhybrid.load.builtin import data_folder
 from glhybrid.needs import Features
 from glhybrid.pace import Bands, Pace, spread_rows
@@ -267,6 +268,7 @@ class Shaders:
         self._context = context
         self.pace = Pace()
         self.progress: Progress | None = None  # told of what is compiled
+        self._aside: CompileAside | None = None  # only where somebody is told
         self._folders = (data_folder("glsl"), *extra)
         self._sources: dict[str, Source] = {}
         self._programs: dict[tuple[str, ...], Program] = {}
@@ -294,7 +296,9 @@ class Shaders:
         self._made[key] = (source.path,), features
         if key not in self._programs:
             name = f"{stem} {_label(named)}".strip()
-            self._programs[key] = self._link(name, (source,), lambda: self._context.gl.compute_shader(text), named)
+            stages = {GL_COMPUTE_SHADER: text}
+            make = lambda: self._context.gl.compute_shader(text)  # noqa: E731
+            self._programs[key] = self._link(name, (source,), stages, make, named)
         return self._programs[key]
 
     def text(self, stem: str) -> bytes:
@@ -311,17 +315,27 @@ class Shaders:
         if key not in self._programs:
             name = f"{stem} {_label(named)}".strip()
             make = lambda: self._context.gl.program(vertex_shader=vertex_text, fragment_shader=fragment_text)  # noqa: E731
-            self._programs[key] = self._link(name, (vertex, fragment), make, named)
+            stages = {GL_VERTEX_SHADER: vertex_text, GL_FRAGMENT_SHADER: fragment_text}
+            self._programs[key] = self._link(name, (vertex, fragment), stages, make, named)
         return self._programs[key]
 
     def _link(
-        self, name: str, sources: tuple[Source, ...], make: Callable[[], Any], named: Mapping[str, int]
-    ) -> Program:
+        self, name: str, sources: tuple[Source, ...], stages: Mapping[int, str], make: Callable[[], Any],
+        named: Mapping[str, int],
+    ) -> Program:  # fmt: skip
+        aside_s = 0.0
         if self.progress is not None:
-            self.progress(f"compiling {name.partition(' ')[0]}", 0, 0)
+            tell = partial(self.progress, f"compiling {name.partition(' ')[0]}", 0, 0)
+            tell()
+            self._aside = self._aside or CompileAside(self._context.raw)
+            aside_s = self._aside.run(stages, tell) if self._aside.worth else 0.0
+        start = time.perf_counter()
         unread = [buffer for buffer, feature in _OPTIONAL.items() if not named.get(feature)]
         try:
-            return Program(self._context, name, make(), unread, self.pace)
+            made = make()
+            if aside_s and self._aside is not None:
+                self._aside.learn(aside_s, time.perf_counter() - start)
+            return Program(self._context, name, made, unread, self.pace)
         except moderngl.Error as error:
             log = str(error)
             for source in sources[-1:] if "fragment" in log else sources[:1]:

@@ -280,7 +280,7 @@ class Panels:
             ("normal", ", ".join(f"{v:.3f}" for v in picked.normal)),
             ("distance", f"{picked.distance:.5g} m"),
             ("visibility", ", ".join(f"{v:.2g}" for v in picked.visibility[:8])),
-            ("ray steps", f"{picked.steps} nodes and triangles"),
+            ("ray steps", f"{picked.steps} nodes and triangles" if picked.steps else "none: no ray is sent here"),
         ]
         if imgui.begin_table("picked", 2):
             imgui.table_setup_column("what", imgui.TableColumnFlags_.width_fixed, 66 * self._scale)

@@ -95,7 +95,7 @@ class Turns:
         job = self.job = self.job or Job(what, done, total, now, at_once=not self.presented)
         changed, job.what, job.done, job.total = job.what != what or now == job.since, what, done, total
         if changed and what.startswith(("compiling", "measuring")) and not self._software:
-            job.at_once = True  # nobody has a turn until a GPU's compiler is done
+            job.at_once = True  # it takes a while on a GPU, and without threads of its own nobody has a turn until then
         elif now - self._looked < LOOK_S:
             return
         self._looked = now
