@@ -186,7 +186,7 @@ CONSTANTS: dict[str, int] = {
     # Texture slots of a material, in the order of scene.TEXTURE_SLOTS.
     **{f"SLOT_{slot.upper()}": i for i, slot in enumerate(TEXTURE_SLOTS)},
     # Of paths on their way (lib/path.glsl): to a row of their image; texels of one, and of a light it looks for; lists.
-    "PATH_WIDTH": 1024, "PATH_PARTS": 5, "PATH_LIGHT_PARTS": 3, "PATH_LISTS": 4,
+    "PATH_WIDTH": 2048, "PATH_PARTS": 5, "PATH_LIGHT_PARTS": 4, "PATH_LISTS": 4,
     # What passes/aov.comp writes, by the names of glhybrid/image.py.
     "AOV_DEPTH": 1, "AOV_DISTANCE": 2, "AOV_POSITION": 3, "AOV_NORMAL": 4, "AOV_NORMAL_GEOMETRIC": 5, "AOV_ALBEDO": 6,
     "AOV_ROUGHNESS": 7, "AOV_METALLIC": 8, "AOV_EMISSIVE": 9, "AOV_INSTANCE_ID": 10, "AOV_MATERIAL_ID": 11,

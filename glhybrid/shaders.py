@@ -248,7 +248,9 @@ class Program:
         self._context.raw.glFinish()  # unlike moderngl's, it lets other threads go on
         self._bands.note(rows * across, (time.perf_counter() - start) * 1e3, self._pace.band_ms)
 
-    def dispatch_indirect(self, resources: Mapping[str, Any], groups: moderngl.Buffer, offset: int = 0) -> None:
+    def dispatch_indirect(
+        self, resources: Mapping[str, Any], groups: moderngl.Buffer, offset: int = 0, wait: bool = True
+    ) -> None:
         """The same, over as many work groups as three uints in a buffer say, so many bytes from its start."""
         if self._rows is not None and self._pace.on:
             across, down, _ = struct.unpack("3I", groups.read(12, offset=offset))
@@ -258,7 +260,8 @@ class Program:
             return
         self.bind(resources)
         self.program.run_indirect(groups, offset)
-        self._context.gl.memory_barrier()
+        if wait:
+            self._context.gl.memory_barrier()
 
 
 class Shaders:

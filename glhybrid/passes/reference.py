@@ -118,10 +118,11 @@ class Reference:
                     program.dispatch(resources, all_paths, (TILE, 1))
                 else:
                     program.dispatch_indirect(resources, counts, row)
+            # These and the next `extend` read and write nothing of each other: the last rays of one do not keep the others.
             if depth <= bounces:
                 for kind in range(0 if len(self._scene.lights) else 1, self._kinds):
                     resources["light_list"] = kind + 1
-                    self._connect.dispatch_indirect(resources, counts, row + 16 * (kind + 1))
+                    self._connect.dispatch_indirect(resources, counts, row + 16 * (kind + 1), wait=False)
         self._mean.dispatch(resources, (TILE * tiles, 1), (TILE, 1))
 
     def _room(self, targets: Targets, slots: int, bounces: int) -> dict[str, Any]:

@@ -16,14 +16,15 @@ uniform uint depth;       // surfaces that the path has met
 const uint PATH_ORIGIN = 0u;        // and the density of the direction; 0: camera or mirror
 const uint PATH_DIRECTION = 1u;     // and the instance that was met
 const uint PATH_THROUGHPUT = 2u;    // and the pixel, x + 65536 y; ID_NONE: beside the picture
-const uint PATH_SUM = 3u;           // and the sample
+const uint PATH_SUM = 3u;           // of what it has met that shines; and the sample
 const uint PATH_HIT = 4u;           // t, bary, triangle
-const uint PATH_LIGHT = PATH_PARTS; // origin, length; direction; radiance that arrives
+const uint PATH_LIGHT = PATH_PARTS; // origin, length; direction; radiance on its way; what arrived so far
 // Lists: paths that go on, and those that a light may shine on.
 const uint GOES_ON = 0u;
 const uint TO_LAMPS = 1u;
 const uint TO_SKY = 2u;
 const uint TO_EMITTERS = 2u + uint(ENVIRONMENT);
+const uint LIGHT_KINDS = 1u + uint(ENVIRONMENT) + uint(USE_EMITTERS);
 
 ivec2 part_of(uint slot, uint part) { return ivec2(slot & (PATH_WIDTH - 1u), part * wave.w + slot / PATH_WIDTH); }
 uvec4 load_part(uint slot, uint part) { return imageLoad(paths, part_of(slot, part)); }

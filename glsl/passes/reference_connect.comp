@@ -11,7 +11,7 @@ void main() {
     vec3 direction = uintBitsToFloat(load_part(slot, part + 1u).xyz);
     vec3 arrives = any_hit(Ray(uintBitsToFloat(origin.xyz), 0.0, direction, uintBitsToFloat(origin.w)));
     if (max3(arrives) > 0.0) {
-        uvec4 sum = load_part(slot, PATH_SUM);
-        store_part(slot, PATH_SUM, uintBitsToFloat(sum.xyz) + arrives * uintBitsToFloat(load_part(slot, part + 2u).xyz), sum.w);
+        vec3 light = arrives * uintBitsToFloat(load_part(slot, part + 2u).xyz);
+        store_part(slot, part + 3u, uintBitsToFloat(load_part(slot, part + 3u).xyz) + light, 0u);
     }
 }

@@ -35,6 +35,7 @@ void main() {
         if (inside) pixel = uint(px.x) | uint(px.y) << 16u;
         store_part(slot, PATH_THROUGHPUT, throughput, pixel);
         store_part(slot, PATH_SUM, vec3(0.0), number);
+        for (uint kind = 0u; kind < LIGHT_KINDS; kind++) store_part(slot, PATH_LIGHT + PATH_LIGHT_PARTS * kind + 3u, vec3(0.0), 0u);
         if (!inside) return;
         // jitter_px is the width of the box that samples spread over: 0 = pixel centres.
         ray = primary_ray(px, (draw_point(uvec2(px), number, DRAW_PIXEL) - 0.5) * frame.jitter_px);
