@@ -118,7 +118,7 @@ class Reference:
                     program.dispatch(resources, all_paths, (TILE, 1))
                 else:
                     program.dispatch_indirect(resources, counts, row)
-            # These and the next `extend` read and write nothing of each other: the last rays of one do not keep the others.
+            # These and the next `extend` read and write nothing of each other: one's last rays do not keep the others.
             if depth <= bounces:
                 for kind in range(0 if len(self._scene.lights) else 1, self._kinds):
                     resources["light_list"] = kind + 1
