@@ -94,13 +94,14 @@ def run(
     from glhybrid.viewer import store
     from glhybrid.viewer.app import Viewer
     from glhybrid.viewer.panels import WIDTH
-    from glhybrid.viewer.session import Session
+    from glhybrid.viewer.session import OF_BOTH, Session
 
     session = Session(scene, source)
     saved = {} if flags.fresh or flags.screenshot else store.read()
     store.restore(session, saved)
     if given or not saved:
         session.a = settings.replace(time=None, clip=None)
+        session.b = session.b.replace(**{name: getattr(settings, name) for name in OF_BOTH})
     flags.apply(session)
     start(session, settings, camera, lights, environment)
     window = size[0] + WIDTH, size[1]

@@ -181,7 +181,7 @@ class Viewer:
     # Actions
 
     def act(self, name: str, at: tuple[float, float] = (0.0, 0.0)) -> None:
-        """pick, look_at, frame, save, copy, bookmark, reload, quit."""
+        """pick, look_at, frame, save, copy, bookmark, reload, follow (what was written), quit."""
         try:
             getattr(self, f"_act_{name}")(at)
         except GlhybridError as error:
@@ -222,6 +222,9 @@ class Viewer:
 
     def _act_reload(self, at: tuple[float, float]) -> None:
         self.reload()
+
+    def _act_follow(self, at: tuple[float, float]) -> None:
+        self.reload(unless_equal=True)
 
     def pick(self, at: tuple[float, float]) -> Any:
         """What is under a point of the picture; None outside of it or before anything was drawn."""
@@ -301,16 +304,19 @@ class Viewer:
         finally:
             self.turns.prepared()
 
-    def reload(self) -> None:
-        """The same file again. Raises LoadError."""
-        self.session.swap_scene(self._read(self.session.source))
+    def reload(self, unless_equal: bool = False) -> None:
+        """The same file again. unless_equal: what is shown stays if all that was read is. Raises LoadError."""
+        scene = self._read(self.session.source)
+        if unless_equal and scene.sha256 and scene.sha256 == self.session.scene.sha256:
+            return  # another file beside it was written
+        self.session.swap_scene(scene)
         self.pictures.restart()
         self.session.say(f"reloaded {self.session.source}")
         self._dirty = SETTLE_FRAMES
 
     def _check_files(self) -> None:
         if self._watching and self._watch.due():
-            self.act("reload")
+            self.act("follow")
         now = clock.monotonic()
         if self._watching and now >= self._shader_check:
             self._shader_check = now + PERIOD_S

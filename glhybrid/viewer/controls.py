@@ -10,6 +10,7 @@ from glhybrid.viewer.events import LEFT, MIDDLE, RIGHT, Button, Event, Focus, Ke
 from glhybrid.viewer.session import MODES, Session
 from glhybrid.viewer.views import PICTURE
 
+DIVIDER_MOST = 0.98  # of the width: its handle stays where it can be taken
 CLICK_PX, DIVIDER_PX, DOUBLE_S = 4.0, 7.0, 0.35
 TURN = 0.0075  # radians a pixel
 FLY_S = 4.0  # seconds to cross the scene
@@ -111,7 +112,7 @@ class Controls:
             return
         before, self._travel = self._travel, self._travel + abs(dx) + abs(dy)
         if self.dragging == "divider":
-            self.session.divider = min(max(event.x / max(self.size[0], 1), 0.0), 1.0)
+            self.session.divider = min(max(event.x / max(self.size[0], 1), 1 - DIVIDER_MOST), DIVIDER_MOST)
             return
         if self._travel < CLICK_PX:
             return

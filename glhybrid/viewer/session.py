@@ -24,6 +24,7 @@ Mode = Literal["single", "split", "difference", "flip"]
 MODES: tuple[Mode, ...] = ("single", "split", "difference", "flip")
 Against = Literal["reference", "b"]
 SAID_S = 6.0
+OF_BOTH = ("exposure", "tone", "aa", "samples", "bounces", "seed")  # settings that are the same on both sides
 FLAGS = ("shadows", "reflections", "samples", "bounces", "time", "clip", "aa")
 
 
@@ -176,7 +177,7 @@ class Session:
 
     def set(self, side: Literal["a", "b"], **changes: Any) -> None:
         """Other settings of one side. Those of display and time are of both. Raises SettingError."""
-        both = {k: v for k, v in changes.items() if k in ("exposure", "tone", "aa", "samples", "bounces", "seed")}
+        both = {k: v for k, v in changes.items() if k in OF_BOTH}
         for name in ("a", "b"):
             given = changes if name == side else both
             if given:

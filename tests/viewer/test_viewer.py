@@ -183,6 +183,10 @@ def test_a_drag_of_the_divider_moves_it_and_not_the_camera(open_viewer: Open) ->
     )
     drag(viewer, LEFT, (48, 40), (24, 40))
     assert viewer.session.pose is None and viewer.session.divider == pytest.approx(0.25)
+    drag(viewer, LEFT, (24, 40), (-300, 40))  # over the border: the handle stays where it can be taken
+    assert viewer.session.divider == pytest.approx(0.02)
+    drag(viewer, LEFT, (2, 40), (48, 40))
+    assert viewer.session.divider == pytest.approx(0.5)
 
 
 def test_picking_reads_the_aovs_of_that_pixel(open_viewer: Open, context: Context) -> None:

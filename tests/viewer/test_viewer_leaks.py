@@ -87,6 +87,25 @@ def test_a_file_that_cannot_be_read_leaves_the_scene(open_viewer: Callable[..., 
     assert viewer.session.scene is kept and any(s.error and "cannot be read" in s.text for s in viewer.session.said)
 
 
+def test_what_is_written_beside_the_scene_leaves_it(open_viewer: Callable[..., Viewer], tmp_path: Any) -> None:
+    """A picture saved over another one in the scene's folder is no reason to begin anew; F5 is."""
+    import glhybrid
+
+    file = tmp_path / "scene.toml"
+    file.write_text('[[object]]\nshape = "sphere"\nradius = 1\n')
+    viewer = open_viewer(glhybrid.load(file), size=(24, 16))
+    viewer.session.source = str(file)
+    viewer.settle()
+    scene, edits = viewer.session.scene, viewer.session.edits
+    viewer.act("follow")
+    assert viewer.session.scene is scene and viewer.session.edits == edits and not viewer.session.said
+    viewer.act("reload")
+    assert viewer.session.scene is not scene
+    file.write_text('[[object]]\nshape = "sphere"\nradius = 1.5\n')
+    viewer.act("follow")
+    assert viewer.session.scene.sha256 != scene.sha256
+
+
 @pytest.mark.parametrize("written", ["scene", "shader"])
 def test_written_files_are_read_again(
     open_viewer: Callable[..., Viewer], context: Context, tmp_path: Any, monkeypatch: Any, written: str
