@@ -13,7 +13,7 @@ from pathlib import Path
 from glhybrid.jit import cache_dir
 
 DIGEST = 20
-LIMIT_BYTES = {"sky": 80 << 20, "unwrap": 512 << 20, "bake": 1 << 30, "tuning": 1 << 20}
+LIMIT_BYTES = {"sky": 80 << 20, "unwrap": 512 << 20, "bake": 1 << 30, "probe": 1 << 20, "tuning": 1 << 20}
 
 
 def key(*parts: bytes) -> str:

@@ -159,8 +159,11 @@ STRUCTS: dict[str, list[Row]] = {
     ],
     "Probe": [
         ("vec3", "position", "where it was captured, origin-relative, m"),
-        ("vec3", "box_min", "of what it speaks for"),
+        ("float", "fade", "m around its reach over which it gives way to the next"),
+        ("vec3", "box_min", "whose walls stand for what it saw"),
         ("vec3", "box_max", ""),
+        ("vec3", "reach_min", "of the surfaces that show it"),
+        ("vec3", "reach_max", ""),
     ],
     "Emitter": [  # reference only
         ("uint", "instance", "row of instances"),

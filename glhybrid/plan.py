@@ -79,7 +79,9 @@ def make(
         reasons.append(f"reflections run as {parts}: a GPU keeps more rays in flight beside less shading code")
     if features.probes:
         named = len(scene.probes)
-        reasons.append(f"{named} probes as the scene has them" if named else "one probe, placed where it sees far")
+        most = settings.parameter("reflections.probe.count")
+        where = f"at most {most} probes, where what reflects is worst shown without them"
+        reasons.append(f"{named} probes as the scene has them" if named else where)
     if features.march and features.blended:
         reasons.append(
             "blended surfaces are not in the G-buffer: "

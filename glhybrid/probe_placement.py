@@ -1,10 +1,34 @@
-"""Where probes go in a scene that does not say: one that sees far, in a box fitted to what it sees. No OpenGL."""
+"""Where probes go in a scene that does not say, and the boxes that they stand for. No OpenGL.
+
+From points just off the surfaces that reflect, and from places where a probe could be, small cubes of distances are
+drawn. The former are the truth: the point that a probe would show there, through a box, against the one that is there,
+where cameras look by a mirror. Space is cut in two, and again, each time by the plane across which two probes take most
+of the error away that one leaves, until a cut would hardly matter: so a room with mirrors gets a probe of its own, a
+scene of one room one, and where the sky is as good as any none.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from glhybrid.scene import F64, Probe, Scene
+from glhybrid.probe_surfaces import Surfaces
+from glhybrid.scene import F64, Probe
 
-WALL = 0.02  # share of all directions that may end beyond a wall of the fitted box
+WALLS = (0.02, 0.1, 0.3)  # shares of all directions that may end beyond a wall of a fitted box
+SIGHT = 32  # texels a side of a face that a place looks at
+STRIDE = 2  # of them, for truths
+TRUTHS, CANDIDATES = 48, 16  # groups of surfaces with a truth each, and of those with a place for a probe
+OFF = 0.35  # of the distance: a point shown so far from the right one is as wrong as can be
+HEIGHTS = 0.15, 0.5  # of what is free before a surface: where probes may be
+LOBE, SPREAD = 8, 0.1  # directions weigh by a power of the cosine to where cameras look by a mirror, and a little all
+LEAST_GAIN = 0.2, 1e-3  # of the error of a cell that more probes could take away, and of all: what a cut must
+WORTH = 0.8  # of the sky's error: a probe that is not better shows wrong things sharply, and the sky is smooth
+UNSEEN, LEAST_SHARE = 0.1, 0.01  # how much counts what a camera does not see, and what is ever so far away
+FADE = 0.05  # of a box's diagonal, over which it gives way to the next: no wider than walls between rooms
 FACES = (  # right, up and forward of +X -X +Y -Y +Z -Z, as lib/probe.glsl reads them
     ((0, 0, 1), (0, 1, 0), (1, 0, 0)), ((0, 0, -1), (0, 1, 0), (-1, 0, 0)),
     ((1, 0, 0), (0, 0, 1), (0, 1, 0)), ((-1, 0, 0), (0, 0, 1), (0, -1, 0)),
@@ -12,31 +36,252 @@ FACES = (  # right, up and forward of +X -X +Y -Y +Z -Z, as lib/probe.glsl reads
 )  # fmt: skip
 
 
-def candidates(scene: Scene, bounds: F64) -> list[F64]:
-    """Points to try, (3,) world: the middle of the scene, and the first camera, which is where there is room.
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What is seen from a point: distance (6, SIGHT, SIGHT) m along texel_directions(SIGHT), inf where the sky is."""
 
-    bounds: (2, 3) of what is drawn.
+    position: F64
+    distance: F64
+
+    @cached_property
+    def points(self) -> F64:
+        """(6 SIGHT^2, 3) world, infinite where the sky is."""
+        distance = self.distance.reshape(-1, 1)
+        with np.errstate(invalid="ignore"):
+            found = self.position + distance * texel_directions(SIGHT).reshape(-1, 3)
+        return np.where(np.isfinite(distance), found, np.inf)
+
+    @cached_property
+    def farthest(self) -> F64:
+        """(6 SIGHT^2,) m, of each texel and those around it."""
+        padded = np.pad(self.distance, ((0, 0), (1, 1), (1, 1)), mode="edge")
+        around = [padded[:, y : y + SIGHT, x : x + SIGHT] for y in range(3) for x in range(3)]
+        return np.asarray(np.max(around, axis=0).ravel())
+
+    def sees(self, points: F64) -> NDArray[np.bool_]:
+        """(N,) whether nothing stands before points (N, 3), to a texel."""
+        way = points - self.position
+        return np.asarray(self.farthest[_texel(way)] > 0.97 * np.linalg.norm(way, axis=-1))
+
+
+def _texel(way: F64) -> NDArray[np.int64]:
+    """(...,) row of a Sight's points in directions (..., 3)."""
+    axis = np.abs(way).argmax(-1)
+    major = np.take_along_axis(way, axis[..., None], -1)[..., 0]
+    face = 2 * axis + (major < 0)
+    scale = 0.5 * SIGHT / np.maximum(np.abs(major), 1e-300)
+    across, up = ((way * _TURNS[k][face]).sum(-1) * scale + 0.5 * SIGHT for k in (0, 1))
+    x, y = (np.clip(v, 0, SIGHT - 1).astype(np.int64) for v in (across, up))
+    return np.asarray((face * SIGHT + y) * SIGHT + x)
+
+
+Look = Callable[[F64], Sight]
+_TURNS = [np.array([f[k] for f in FACES], np.float64) for k in (0, 1)]
+
+
+def place(surfaces: Surfaces, eyes: list[F64], bounds: F64, count: int, blend: float, look: Look) -> tuple[Probe, ...]:
+    """At most `count` probes.
+
+    eyes: where the scene's cameras stand: what they see counts more. bounds: (2, 3) of what is drawn. look: what is
+    seen from a point. blend: m around a box over which its probe gives way, at least.
     """
-    points = [bounds.mean(0)]
-    for camera in scene.cameras[:1]:
-        eye = camera.world_from_view[:3, 3]
-        if (eye > bounds[0]).all() and (eye < bounds[1]).all():
-            points += [eye, (eye + bounds.mean(0)) / 2]
-    return points
+    extent = float(np.linalg.norm(bounds[1] - bounds[0])) or 1.0
+    sights = [look(eye) for eye in eyes]
+    places = sights + [look(bounds.mean(0))] + ([look((eyes[0] + bounds.mean(0)) / 2)] if eyes else [])
+    if not len(surfaces.point):
+        return ()
+    surfaces = _seen_from(surfaces, eyes, sights, extent)
+    groups = _groups(surfaces, TRUTHS)
+    truths = [_truth(surfaces, groups == k, 1e-3 * extent, look) for k in range(int(groups.max()) + 1)]
+    coarse = _groups(surfaces, CANDIDATES)
+    middles = [_middle(surfaces, np.flatnonzero(coarse == k)) for k in range(int(coarse.max()) + 1)]
+    for truth in (truths[groups[row]] for row in middles):
+        ahead = truth.sight.distance.ravel()[_texel(truth.normal)]
+        free = min(float(ahead), _openness(truth.sight, extent))
+        places += [look(truth.sight.position + share * free * truth.normal) for share in HEIGHTS]
+    options = [_Option(s, fit(s, bounds, wall)) for s in places for wall in WALLS]
+    alone = [float(truth.share @ np.isfinite(truth.point).all(-1)) for truth in truths]
+    wrong = np.array([[_error(o, truth) for truth in truths] for o in options] + [alone])
+    wrong[-1] *= WORTH
+    error = wrong.T[groups] * surfaces.weight[:, None]  # of each point under each option, the sky last
+    worst = float(error[:, -1].sum())
+    cells = [_Cell(np.arange(len(groups)), np.array([bounds[0] - extent, bounds[1] + extent]))]
+    while len(cells) < count:
+        cuts = [_best_cut(cell, surfaces.point, error) for cell in cells]
+        k = int(np.argmax([cut.gain for cut in cuts]))
+        if not cuts[k].gain > LEAST_GAIN[1] * worst:
+            break
+        cells[k : k + 1] = _halves(cells[k], surfaces.point, cuts[k])
+    best = [int(error[cell.rows].sum(0).argmin()) for cell in cells]
+    return tuple(
+        _bounded(options[o], cell, surfaces, blend, k)
+        for k, (o, cell) in enumerate(zip(best, cells, strict=True)) if o < len(options)
+    )  # fmt: skip
 
 
-def openness(distance: F64, solid_angle: F64, reach: float) -> float:
-    """How far a point sees: the geometric mean of distances, (...,) m, up to `reach`. In a corner it is small."""
-    near = np.clip(distance, 1e-4 * reach, reach)
-    return float(np.exp(np.average(np.log(near), weights=np.broadcast_to(solid_angle, near.shape))))
+class _Cell(NamedTuple):
+    """rows (R,) of the points in a box (2, 3) of space."""
+
+    rows: NDArray[np.int64]
+    box: F64
 
 
-def fit(position: F64, points: F64, solid_angle: F64, bounds: F64) -> Probe:
-    """A probe and its box: as far along each axis as all but WALL of the directions see; to the bounds where sky is.
+class _Cut(NamedTuple):
+    gain: float
+    axis: int = 0
+    at: float = 0.0
 
-    points: (N, 3) what it sees, not finite where nothing is; solid_angle: (N,).
+
+def _best_cut(cell: _Cell, points: F64, error: F64) -> _Cut:
+    """The plane that leaves least error (N, options) to the best option on either side; of equals in the widest gap.
+
+    Without gain where no plane takes enough away.
     """
+    best = _Cut(0.0)
+    whole = error[cell.rows].sum(0)
+    removable = float(whole.min() - error[cell.rows].min(1).sum())
+    for axis in range(3):
+        rows = cell.rows[np.argsort(points[cell.rows, axis], kind="stable")]
+        places, below = points[rows, axis], np.cumsum(error[rows], axis=0)
+        gap = np.diff(places)
+        left = below[:-1].min(1) + (whole - below[:-1]).min(1)
+        gain = whole.min() - left - 1e-3 * whole.min() * (1 - gap / max(float(gap.max(initial=0)), 1e-30))
+        gain[gap <= 0] = 0
+        if len(gain) and gain.max() > max(best.gain, LEAST_GAIN[0] * removable):
+            k = int(gain.argmax())
+            best = _Cut(float(gain[k]), axis, float(places[k] + places[k + 1]) / 2)
+    return best
+
+
+def _halves(cell: _Cell, points: F64, cut: _Cut) -> list[_Cell]:
+    low = points[cell.rows, cut.axis] < cut.at
+    boxes = cell.box.copy(), cell.box.copy()
+    boxes[0][1, cut.axis] = boxes[1][0, cut.axis] = cut.at
+    return [_Cell(cell.rows[low], boxes[0]), _Cell(cell.rows[~low], boxes[1])]
+
+
+@dataclass(frozen=True, eq=False)
+class _Truth:
+    """What is around a group of surfaces: points (D, 3) in directions (D, 3), share (D,) of each in their mirror."""
+
+    sight: Sight
+    normal: F64
+    way: F64
+    point: F64
+    share: F64
+
+
+class _Option(NamedTuple):
+    sight: Sight
+    probe: Probe
+
+
+def _seen_from(surfaces: Surfaces, eyes: list[F64], sights: list[Sight], extent: float) -> Surfaces:
+    """Weighted by what cameras make of them: by nearness, and a quarter where they do not see them. Fronts of two
+    sides are those seen."""
+    if not eyes:
+        return surfaces
+    way = surfaces.point[None] - np.array(eyes)[:, None]
+    far = np.linalg.norm(way, axis=-1)
+    way /= np.maximum(far, 1e-12)[..., None]
+    nearest = np.take_along_axis(way, far.argmin(0)[None, :, None], 0)[0]
+    across = surfaces.two_sided & ((nearest * surfaces.normal).sum(-1) > 0)
+    normal = np.where(across[:, None], -surfaces.normal, surfaces.normal)
+    seen = np.array([s.sees(surfaces.point) for s in sights]) & ((way * normal).sum(-1) < 0)
+    scale = max(_openness(s, extent) for s in sights)
+    share = np.maximum(np.where(seen, 1.0, UNSEEN) / (1 + (far / scale) ** 2), LEAST_SHARE)
+    mirror = way - 2 * (way * normal).sum(-1, keepdims=True) * normal
+    return surfaces._replace(
+        normal=normal, weight=surfaces.weight * share.max(0), mirror=mirror, share=share / share.sum(0)
+    )
+
+
+def _openness(sight: Sight, reach: float) -> float:
+    """How far a point sees: the geometric mean of distances, m, up to `reach`. In a corner it is small."""
+    near = np.clip(sight.distance, 1e-4 * reach, reach)
+    return float(np.exp(np.average(np.log(near), weights=np.broadcast_to(_solid_angles(SIGHT), near.shape))))
+
+
+def _groups(surfaces: Surfaces, count: int) -> NDArray[np.int64]:
+    """(N,) number of the group of each point: near each other and turned alike, by k-means from k-means++."""
+    reach = np.sqrt(np.average(((surfaces.point - np.median(surfaces.point, 0)) ** 2).sum(1), weights=surfaces.weight))
+    at = np.concatenate([surfaces.point, 0.5 * reach * surfaces.normal], axis=1)
+    rng = np.random.default_rng(1)
+    centres = at[[int(np.argmax(surfaces.weight))]]
+    for _ in range(count - 1):
+        apart = ((at[:, None] - centres[None]) ** 2).sum(-1).min(1) * surfaces.weight
+        if not apart.sum() > 0:
+            break
+        centres = np.concatenate([centres, at[[rng.choice(len(at), p=apart / apart.sum())]]])
+    for _ in range(8):
+        nearest = ((at[:, None] - centres[None]) ** 2).sum(-1).argmin(1)
+        used = np.unique(nearest)
+        centres = np.array([np.average(at[nearest == k], axis=0, weights=surfaces.weight[nearest == k]) for k in used])
+    nearest = ((at[:, None] - centres[None]) ** 2).sum(-1).argmin(1)
+    return np.asarray(np.unique(nearest, return_inverse=True)[1])
+
+
+def _middle(surfaces: Surfaces, rows: NDArray[np.int64]) -> int:
+    """The one of some points that is nearest to their mean."""
+    point, weight = surfaces.point[rows], surfaces.weight[rows]
+    return int(rows[((point - np.average(point, axis=0, weights=weight)) ** 2).sum(1).argmin()])
+
+
+def _truth(surfaces: Surfaces, mine: NDArray[np.bool_], off: float, look: Look) -> _Truth:
+    """What is seen from just off the middle of a group."""
+    point, normal = (a[_middle(surfaces, np.flatnonzero(mine))] for a in (surfaces.point, surfaces.normal))
+    sight = look(point + off * normal)
+    few = slice(STRIDE // 2, None, STRIDE)
+    rows = np.arange(6 * SIGHT * SIGHT).reshape(6, SIGHT, SIGHT)[:, few, few].ravel()
+    way = texel_directions(SIGHT).reshape(-1, 3)[rows]
+    lit = np.maximum(way @ surfaces.normal[mine].T, 0)
+    if surfaces.mirror is not None and surfaces.share is not None:
+        pairs = zip(surfaces.mirror[:, mine], surfaces.share[:, mine], strict=True)
+        lit = lit * (SPREAD + sum(share * np.maximum(way @ mirror.T, 0) ** LOBE for mirror, share in pairs))
+    lit = lit @ surfaces.weight[mine] * np.tile(_solid_angles(SIGHT)[few, few].ravel(), 6)
+    used = lit > 0
+    return _Truth(sight, normal, way[used], sight.points[rows[used]], lit[used] / lit.sum())
+
+
+def _error(option: _Option, truth: _Truth) -> float:
+    """How wrong a probe's image is on a group, 0 to 1."""
+    probe = option.probe
+    low, high = np.array(probe.low), np.array(probe.high)
+    start = np.clip(truth.sight.position, low, high)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.where(truth.way > 0, (high - start) / truth.way, (low - start) / truth.way)
+        wall = np.nanmin(np.where(truth.way == 0, np.inf, t), axis=-1)
+    shown = option.sight.points[_texel(start + wall[:, None] * truth.way - option.sight.position)]
+    sky, sky_shown = ~np.isfinite(truth.point).all(-1), ~np.isfinite(shown).all(-1)
+    with np.errstate(invalid="ignore"):
+        texel = 3 / SIGHT * np.linalg.norm(shown - option.sight.position, axis=-1)  # one and a half: as far as is known
+        off = np.maximum(np.linalg.norm(shown - truth.point, axis=-1) - texel, 0)
+        wrong = np.minimum(off / (OFF * np.linalg.norm(truth.point - truth.sight.position, axis=-1)), 1.0)
+    return float(truth.share @ np.where(sky | sky_shown, sky != sky_shown, wrong))
+
+
+def _bounded(option: _Option, cell: _Cell, surfaces: Surfaces, blend: float, k: int) -> Probe:
+    """Probe k, for the surfaces in a cell. It fades out around that, but not into what it does not see."""
+    mine = np.zeros(len(surfaces.point), bool)
+    mine[cell.rows] = True
+    own, others = surfaces.point[mine], np.flatnonzero(~mine)
+    fade = max(blend, FADE * float(np.linalg.norm(np.ptp(own, axis=0)))) if len(own) else blend
+    point = surfaces.point[others]
+    away = np.maximum(cell.box[0] - point, point - cell.box[1]).max(1, initial=0)
+    near = np.flatnonzero((away < fade) & ~option.sight.sees(point)) if len(others) else others
+    for row in near.tolist():  # those that are no continuation of what is its own: behind a wall
+        apart = np.linalg.norm(own - point[row], axis=1)
+        alike = surfaces.normal[mine] @ surfaces.normal[others[row]] > 0.5
+        if not (apart[alike] < 4 * fade).any():
+            fade = min(fade, 0.5 * float(away[row]))
+    reach = tuple(cell.box[0].tolist()), tuple(cell.box[1].tolist())
+    return replace(option.probe, reach=reach, fade=fade, name=f"automatic {k + 1}")
+
+
+def fit(sight: Sight, bounds: F64, wall: float) -> Probe:
+    """A probe and its box: as far along each axis as all but `wall` of directions see; to the bounds where sky is."""
     low, high = bounds[0].copy(), bounds[1].copy()
+    position, points, solid_angle = sight.position, sight.points, np.tile(_solid_angles(SIGHT).ravel(), 6)
     seen = np.isfinite(points).all(-1)
     if seen.any():
         points, weight = points[seen], solid_angle[seen]
@@ -44,12 +289,26 @@ def fit(position: F64, points: F64, solid_angle: F64, bounds: F64) -> Probe:
             order = np.argsort(points[:, axis])
             share = np.cumsum(weight[order]) / solid_angle.sum()
             values = points[order, axis]
-            low[axis] = max(low[axis], values[min(np.searchsorted(share, WALL / 2), len(values) - 1)])
-            high[axis] = min(high[axis], values[np.searchsorted(share, share[-1] - WALL / 2).clip(0, len(values) - 1)])
+            low[axis] = max(low[axis], values[min(np.searchsorted(share, wall / 2), len(values) - 1)])
+            high[axis] = min(high[axis], values[np.searchsorted(share, share[-1] - wall / 2).clip(0, len(values) - 1)])
     # The probe is inside, whatever it saw, and boxes have a size.
     least = 1e-3 * float(np.linalg.norm(bounds[1] - bounds[0])) or 1e-3
     low, high = np.minimum(low, position - least), np.maximum(high, position + least)
-    return Probe(tuple(position.tolist()), tuple(low.tolist()), tuple(high.tolist()), name="automatic")
+    return Probe(tuple(position.tolist()), tuple(low.tolist()), tuple(high.tolist()))
+
+
+@cache
+def texel_directions(size: int) -> F64:
+    """(6, size, size, 3) unit, of the texels of faces without a border, row 0 at the bottom."""
+    edge = (np.arange(size) + 0.5) / size * 2 - 1
+    right, up, forward = (np.array([f[k] for f in FACES], np.float64)[:, None, None] for k in range(3))
+    way = forward + edge[None, None, :, None] * right + edge[None, :, None, None] * up
+    return np.asarray(way / np.linalg.norm(way, axis=-1, keepdims=True))
+
+
+def _solid_angles(size: int) -> F64:
+    """(size, size) of the texels of a face without a border, up to a factor."""
+    return solid_angles(size + 2)[1:-1, 1:-1]
 
 
 def face_pose(position: F64, face: int) -> F64:

@@ -50,7 +50,10 @@ def make(staged: "Staged", view: View, timing: Timing, first_image_ms: float) ->
         "first_image_ms": first_image_ms,
     }  # fmt: skip
     if probe is not None:
-        found["probes"] = {"placed": [dataclasses.asdict(p) for p in probe.placed], "capture_ms": probe.ms}
+        found["probes"] = {
+            "placed": [dataclasses.asdict(p) for p in probe.placed], "captured": sorted(probe.captured),
+            "capture_ms": probe.ms, "bytes": probe.bytes,
+        }  # fmt: skip
     return found
 
 

@@ -216,12 +216,18 @@ class Environment:
 
 @dataclass(frozen=True)
 class Probe:
-    """Where a reflection probe is captured, and the box (low, high) of the room it speaks for. World, metres."""
+    """Where a reflection probe is captured, and the box (low, high) of the room that stands for what it saw.
+
+    World, metres. reach: the box (low, high) of the surfaces that show it; None: the room's. fade: m around that over
+    which it gives way to the next; None: as the setting `reflections.probe.blend` has it.
+    """
 
     position: tuple[float, float, float]
     low: tuple[float, float, float]
     high: tuple[float, float, float]
     name: str = ""
+    reach: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    fade: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,7 +355,7 @@ class Scene:
     lights: tuple[Light, ...] = ()
     cameras: tuple[Camera, ...] = ()
     environment: Environment | None = None
-    probes: tuple[Probe, ...] = ()  # none: one is placed where it sees far
+    probes: tuple[Probe, ...] = ()  # none: they are placed where surfaces reflect
     nodes: tuple[Node, ...] = ()
     skins: tuple[Skin, ...] = ()
     animations: tuple[Animation, ...] = ()

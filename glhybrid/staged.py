@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from glhybrid import aside, deform, geometry, layout, motion, outputs, plan
+from glhybrid import aside, deform, geometry, layout, motion, outputs, plan, probe_capture
 from glhybrid.context import Context
 from glhybrid.frame import Passes
 from glhybrid.frame_constants import FrameConstants
@@ -120,6 +120,11 @@ class Staged:
         self._ids: Any = None  # of the pixel centres, once AOVs asked for them
         self.stochastic = features.glossy or features.light_discs or features.occlusion
         self._number, self._looks = 0, 0  # frames since the history began, looks since the last one
+        if self.probe is not None:
+            if self.mover is not None:
+                self.mover.show(0.0, False)  # places do not depend on what was shown before
+            probe_capture.place(self, self.probe, progress)
+            self._add(self.probe.resources)
 
     def _upload(self, moving: motion.Motion | None, progress: Progress | None) -> tuple[GpuScene, Mover | None]:
         """Buffers of the scene, trees if there is a use for them, and what moves them."""
@@ -240,7 +245,7 @@ class Staged:
             scene = self.drawn = self.mover.show(settings.time or 0.0, timed)
             self._relight()
             if self.probe is not None:
-                self.probe.stale = True
+                self.probe.captured.clear()
             self.passes.moved()
         clip_control = self.context.limits.clip_control
         view = make_view(choose_camera(scene, camera), self.targets.size, scene, clip_control, self.bounds)
@@ -252,8 +257,8 @@ class Staged:
         self._ids = None
         self._looks += 1
         if self.probe is not None:
-            if self.probe.stale:
-                self._capture_probes(self.probe)
+            if missing := self.probe.missing(view):
+                self._capture_probes(self.probe, missing)
             self.probe.look(view.origin)
         self.upload.rebase(view.origin)
         if isinstance(self.passes.shadow, ShadowMap):
@@ -263,11 +268,11 @@ class Staged:
             grid_min, grid_step = self.upload.top_grid(view.origin)
             self.constants.put(top_root=self.upload.top_root, top_grid_min=grid_min, top_grid_step=grid_step)
 
-    def _capture_probes(self, probe: Probe) -> None:
-        """Probes as things are now. What renders them is kept where things move."""
-        self._capture = self._capture or Capture(self, probe)
-        probe.timed(self._capture.run)
-        if self.mover is None:
+    def _capture_probes(self, probe: Probe, missing: list[int]) -> None:
+        """These probes as things are now. What renders them is kept while more may be asked for."""
+        capture = self._capture = self._capture or Capture(self, probe)
+        probe.timed(lambda: capture.run(missing))
+        if self.mover is None and probe.complete:
             self._capture.release()
             self._capture = None
         self._add(probe.resources)

@@ -183,8 +183,18 @@ _ALL = (
         mirror_pass="probe",
         parameters=(
             _CUTOFF,
+            Parameter(
+                "count",
+                4,
+                "most that are placed where a scene has none of its own; 3.5 MiB each",
+                1,
+                64,
+                sweep=(1, 2, 8),
+            ),
             Parameter("resolution", 256, "texels a side of each of the six faces", 16, 4096),
-            Parameter("blend", 0.1, "m around a probe's box over which it gives way to the next, or the sky", 0.0, 1e9),
+            Parameter(
+                "blend", 0.1, "m around a probe's reach over which it gives way to the next, or the sky", 0.0, 1e9
+            ),
         ),
     ),
     Technique(

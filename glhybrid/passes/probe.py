@@ -1,8 +1,9 @@
 """Reflection probes: cube maps captured in place, seen through boxes -> what specular lobes show.
 
 The faces are rendered by the renderer itself (glhybrid/probe_capture.py) with the sky in their own specular lobes: no
-inter-reflection. They are blurred like the sky. A probe answers for what lies in its box, as if all it saw lay on the
-walls; elsewhere the sky does. No tree is looked at, and a frame costs no pass: the image exists for AOVs only.
+inter-reflection. They are blurred like the sky. A probe answers for surfaces in its reach, as if all it saw lay on the
+walls of its box; elsewhere the sky does. Captured are those whose surfaces are in view, once they are. No tree is
+looked at, and a frame costs no pass: the image exists for AOVs only.
 """
 
 import time
@@ -24,6 +25,7 @@ from glhybrid.scene import Probe as Placed
 from glhybrid.settings import Settings
 from glhybrid.shaders import Shaders
 from glhybrid.targets import Targets
+from glhybrid.view import View
 
 
 class Probe:
@@ -41,7 +43,8 @@ class Probe:
         self._blend = float(settings.parameter("reflections.probe.blend"))
         self._reason = features.reason
         self.placed: tuple[Placed, ...] = ()
-        self.stale = True  # nothing is captured, or not what is there now
+        self.captured: set[int] = set()  # numbers of those that hold what is there now
+        self._wanted: list[F64 | None] = []  # (2, 3) the box of surfaces that show each, None: there are none
         self.ms = 0.0
         self._owned: list[Any] = []
         self.resources: dict[str, Any] = {}
@@ -51,10 +54,8 @@ class Probe:
         """Texels a side, a border texel on each included."""
         return self.resolution + 2
 
-    def place(self, placed: tuple[Placed, ...]) -> None:
-        """Makes room for these, the smallest box first."""
-        if placed == self.placed:
-            return
+    def place(self, placed: tuple[Placed, ...], surfaces: F64 | None) -> None:
+        """Makes room for these, the smallest reach first. surfaces: (N, 2, 3) of what reflects; None: anywhere."""
         limit, key = self._context.limits, "reflections.probe.resolution"
         if 6 * len(placed) > limit.texture_layers or self.face_size > limit.texture_size:
             raise SettingError(
@@ -62,17 +63,18 @@ class Probe:
                 f"{self.face_size} texels a side; this device has {limit.texture_layers} of {limit.texture_size}"
             )
         self.release()
-        self.placed = tuple(sorted(placed, key=lambda p: float(np.prod(np.subtract(p.high, p.low)))))
-        gl, count = self._context.gl, len(placed)
-        faces = gl.texture_array((self.face_size, self.face_size, 6 * count), 4, dtype="f2")
-        rows = gl.buffer(reserve=count * layout.dtype("Probe").itemsize)
+        self.placed = tuple(sorted(placed, key=lambda p: float(np.prod(np.subtract(*_reach(p)[::-1])))))
+        self._wanted = [_wanted(_reach(p), self._fade(p), surfaces) for p in self.placed]
+        gl, count, side = self._context.gl, len(placed), self.face_size if placed else 1
+        faces = gl.texture_array((side, side, 6 * max(count, 1)), 4, dtype="f2")
+        rows = gl.buffer(reserve=max(count, 1) * layout.dtype("Probe").itemsize)
         self._owned = [faces, rows]
         self.resources = {
-            "probe_faces": faces, "Probes": rows, "probe_count": count, "probe_blend": self._blend,
+            "probe_faces": faces, "Probes": rows, "probe_count": count,
         }  # fmt: skip
         if self._features.probes_blurred:
             sizes = layout.PREFILTER_SIZES
-            rough = gl.texture_array((sum(s + 2 for s in sizes), max(sizes) + 2, count), 4, dtype="f2")
+            rough = gl.texture_array((sum(s + 2 for s in sizes), max(sizes) + 2, max(count, 1)), 4, dtype="f2")
             self._owned.append(rough)
             self.resources["probe_rough"] = rough
         for texture in (t for t in self._owned if isinstance(t, moderngl.TextureArray)):
@@ -84,26 +86,40 @@ class Probe:
         given = {"radiance": radiance, "layer": 6 * probe + face, "out_faces": self.resources["probe_faces"]}
         self._store.dispatch(given, (self.face_size, self.face_size))
 
-    def blur(self, keep: bool) -> None:
+    def blur(self, probe: int, keep: bool) -> None:
         """Maps of all roughnesses from the stored faces, if not only mirrors show them. keep: on disk, by content."""
         if not self._features.probes_blurred:
             return
-        shape = len(self.placed), 6, self.face_size, self.face_size, 4
-        faces = np.frombuffer(self.resources["probe_faces"].read(), np.float16).reshape(shape)[..., :3]
-        rough = self.resources["probe_rough"]
-        for k in range(len(self.placed)):
-            around = equirect(faces[k].astype(np.float64), 1024, 512).astype(np.float32)
-            data = convolve(self._context, self._shaders, self._features, around, keep)[0]
-            rough.write(data, viewport=(0, 0, k, rough.width, rough.height, 1))
+        size, faces, rough = self.face_size, self.resources["probe_faces"], self.resources["probe_rough"]
+        texels = np.frombuffer(faces.read(), np.float16).reshape(-1, 6, size, size, 4)[probe, ..., :3]
+        around = equirect(texels.astype(np.float64), 1024, 512).astype(np.float32)
+        data = convolve(self._context, self._shaders, self._features, around, keep)[0]
+        rough.write(data, viewport=(0, 0, probe, rough.width, rough.height, 1))
+
+    def missing(self, view: View) -> list[int]:
+        """Those that surfaces in view may show, and that are not captured."""
+        return [
+            k for k, box in enumerate(self._wanted) if k not in self.captured and box is not None and _seen(box, view)
+        ]
+
+    @property
+    def complete(self) -> bool:
+        """Whether no view will ask for more."""
+        return all(k in self.captured or box is None for k, box in enumerate(self._wanted))
+
+    def _fade(self, probe: Placed) -> float:
+        return self._blend if probe.fade is None else probe.fade
 
     def look(self, origin: F64) -> None:
         """Boxes in the world of this frame."""
         rows = np.zeros(len(self.placed), layout.dtype("Probe"))
         for row, probe in zip(rows, self.placed, strict=True):
-            row["position"], row["box_min"], row["box_max"] = (
-                np.asarray(p) - origin for p in (probe.position, probe.low, probe.high)
+            row["position"], row["box_min"], row["box_max"], row["reach_min"], row["reach_max"] = (
+                np.asarray(p) - origin for p in (probe.position, probe.low, probe.high, *_reach(probe))
             )
-        self.resources["Probes"].write(rows)
+            row["fade"] = self._fade(probe)
+        if len(rows):
+            self.resources["Probes"].write(rows)
 
     def timed(self, work: Callable[[], None]) -> None:
         """Runs work() and notes its milliseconds in `ms`, from finish() to finish()."""
@@ -132,4 +148,29 @@ class Probe:
             owned.release()
         self._owned = []
         self.resources = {}
-        self.placed = ()
+        self.placed, self._wanted = (), []
+        self.captured.clear()
+
+
+def _reach(probe: Placed) -> tuple[Any, Any]:
+    """Corners of the box of the surfaces that show it."""
+    return probe.reach or (probe.low, probe.high)
+
+
+def _wanted(reach: tuple[Any, Any], fade: float, surfaces: F64 | None) -> F64 | None:
+    """(2, 3) the box of all surfaces (N, 2, 3) in reach; None if there are none."""
+    box = np.array([np.subtract(reach[0], fade), np.add(reach[1], fade)])
+    if surfaces is None:
+        return box
+    low, high = np.maximum(surfaces[:, 0], box[0]), np.minimum(surfaces[:, 1], box[1])
+    inside = (low <= high).all(1)
+    return np.stack([low[inside].min(0), high[inside].max(0)]) if inside.any() else None
+
+
+def _seen(box: F64, view: View) -> bool:
+    """Whether a box (2, 3) may be in a view: not wholly beyond one of its sides by a pixel, nor behind it."""
+    corners = np.stack(np.meshgrid(*(box - view.origin).T, indexing="ij"), -1).reshape(-1, 3)
+    clip = corners @ view.clip_from_world[:, :3].T + view.clip_from_world[:, 3]
+    w = clip[:, 3]
+    out = [(side * clip[:, k] > w * (1 + 2 / view.size[k])).all() for k in (0, 1) for side in (1, -1)]
+    return not (any(out) or (w <= 0).all())

@@ -103,11 +103,11 @@ def _at_pixels(view: View, points: F64, beyond: F64, position: F32) -> F64:
 
 
 def _seen_by_probes(renderer: Renderer, scene: Scene, rays: Rays, walls: F64, placed: Any) -> F64:
-    """walls: where the mirror rays leave the box that speaks for their origin, the smallest that holds it."""
+    """walls: where the mirror rays leave the box of the probe that speaks for their origin: the first in reach."""
     found = np.full(walls.shape, np.nan)
     left = np.isfinite(walls).all(-1)
     for probe in placed:
-        low, high = np.asarray(probe["low"]), np.asarray(probe["high"])
+        low, high = (np.asarray(corner) for corner in probe["reach"] or (probe["low"], probe["high"]))
         room = 1e-4 * float(np.linalg.norm(high - low))
         mine = left & ((rays.origin >= low - room) & (rays.origin <= high + room)).all(-1)
         if mine.any():

@@ -9,9 +9,8 @@ uniform sampler2DArray probe_faces;    // +X -X +Y -Y +Z -Z of every probe, with
 #if USE_PROBES_BLURRED
 uniform sampler2DArray probe_rough;    // a layer a probe: octahedral maps of PREFILTER_SIZES, as the sky's
 #endif
-layout(std430) readonly buffer Probes { Probe probes[]; };    // the smallest box first
+layout(std430) readonly buffer Probes { Probe probes[]; };    // the smallest reach first
 uniform int probe_count;
-uniform float probe_blend;             // m around a box over which it fades out
 
 vec3 probe_face(int probe, vec3 d) {
     vec3 a = abs(d);
@@ -49,11 +48,11 @@ vec3 probe_prefiltered(int probe, vec3 d, float roughness) {
 #endif
 }
 
-// How much a probe has to say at a point: 1 in its box.
+// How much a probe has to say at a point: 1 in its reach.
 float probe_weight(Probe probe, vec3 position) {
-    vec3 outside = max(probe.box_min - position, position - probe.box_max);
+    vec3 outside = max(probe.reach_min - position, position - probe.reach_max);
     float away = max3(outside);
-    return away <= 0.0 ? 1.0 : (probe_blend > 0.0 ? max(1.0 - away / probe_blend, 0.0) : 0.0);
+    return away <= 0.0 ? 1.0 : (probe.fade > 0.0 ? max(1.0 - away / probe.fade, 0.0) : 0.0);
 }
 
 // Distance from a point along dir to the wall of a probe's box.
@@ -64,7 +63,7 @@ float probe_wall(Probe probe, vec3 position, vec3 dir) {
     return max(min3(abs((wall - position) / d)), 0.0);
 }
 
-// What lies along the mirror direction: the probes whose boxes hold the point, and the sky for the rest of it. wall: m to
+// What lies along the mirror direction: the probes in whose reach the point is, and the sky for the rest of it. wall: m to
 // the box, INFINITY where no probe says anything.
 vec3 probes_prefiltered(vec3 position, vec3 dir, float roughness, out float wall) {
     vec3 sum = vec3(0.0);

@@ -15,9 +15,9 @@ import pytest
 from scene_kit import Camera, Light, box, constant_sky, floor, matte, metal, scene, sun
 
 import glhybrid as gh
-from glhybrid import probe_placement
+from glhybrid import content_cache, probe_capture, probe_placement
 from glhybrid.layout import CONSTANTS
-from glhybrid.scene import Animation, Channel, Environment, Node, Probe, Scene
+from glhybrid.scene import Animation, Channel, Environment, Material, Node, Probe, Scene
 
 if TYPE_CHECKING:
     from glhybrid.context import Context
@@ -116,12 +116,12 @@ def test_outside_its_box_there_is_the_sky(context: "Context", renderer: gh.Rende
     assert soft < 0.03 < 0.1 < hard
 
 
-def test_a_probe_is_placed_in_the_room(context: "Context", renderer: gh.Renderer) -> None:
-    """Without being told: in the middle, and its box is the room, whatever stands in it."""
+def test_a_room_gets_one_probe(context: "Context", renderer: gh.Renderer) -> None:
+    """Without being told: as high as there is room, and its box is the room, whatever stands in it."""
     frame = shot(renderer, mirror_room.room())
     (placed,) = frame.receipt["probes"]["placed"]
     assert np.allclose(placed["low"], (-5, 0, -5), atol=0.1) and np.allclose(placed["high"], (5, 4, 5), atol=0.1)
-    assert np.allclose(placed["position"], (0, 2, 0), atol=0.1)
+    assert (np.array(placed["position"]) > (-5, 0, -5)).all() and (np.array(placed["position"]) < (5, 4, 5)).all()
     # A scene far larger than the room that it is about: the box is what is seen, not all there is.
     outside = scene(
         [(box((-4, 0, -4), (4, 3, 4), inside=True), matte()), (floor(500, -1.0), matte()), (floor(3, 0.01), metal())],
@@ -129,6 +129,108 @@ def test_a_probe_is_placed_in_the_room(context: "Context", renderer: gh.Renderer
     )  # fmt: skip
     (placed,) = shot(renderer, outside).receipt["probes"]["placed"]
     assert np.allclose(placed["low"][::2], (-4, -4), atol=0.2) and np.allclose(placed["high"], (4, 3, 4), atol=0.2)
+
+
+WALL = 0.1  # m: half the width of what is between the two rooms
+TALL = (3.0, 2.5)  # of the red and of the blue room
+
+
+def two_rooms(eye_x: float) -> Scene:
+    """A red and a blue room with mirrors for floors, a wall between them, and a camera in one of them."""
+    parts: list[Any] = []
+    for side, color, high in ((-1, (0.8, 0.1, 0.1), TALL[0]), (1, (0.1, 0.1, 0.8), TALL[1])):
+        x = sorted((side * WALL, side * 6.0))
+        walls = box((x[0], 0, -3), (x[1], high, 3), inside=True)
+        shiny = box((x[0] + 0.05, -0.2, -2.95), (x[1] - 0.05, 0.01, 2.95))
+        parts += [(walls, Material("wall", (*color, 1.0), unlit=True)), (shiny, metal(double_sided=False))]
+    cameras = [Camera.look_at((x, 1.5, 2.5), (x, 0, -1), fov_y=0.6) for x in (eye_x, -eye_x)]
+    return scene(parts, cameras[0], environment=constant_sky(0.5)).replace(cameras=tuple(cameras))
+
+
+@pytest.mark.parametrize("x", [-3.0, 3.0])
+def test_each_of_two_rooms_gets_its_own(context: "Context", renderer: gh.Renderer, x: float) -> None:
+    """A probe in each, in the box of its room; each floor shows its own room, up to the wall between them; and only the
+    room in view is captured."""
+    made = two_rooms(x)
+    frame = shot(renderer, made)
+    found = frame.receipt["probes"]
+    assert len(found["placed"]) == 2 and len(found["captured"]) == 1
+    for k, placed in enumerate(sorted(found["placed"], key=lambda p: float(p["position"][0]))):
+        low, high = ((-6, 0, -3), (-WALL, TALL[0], 3)) if k == 0 else ((WALL, 0, -3), (6, TALL[1], 3))
+        assert (np.array(placed["position"]) > low).all() and (np.array(placed["position"]) < high).all()
+        assert np.allclose(placed["low"], low, atol=0.05) and np.allclose(placed["high"], high, atol=0.05)
+        assert placed["fade"] <= 2 * WALL
+    (captured,) = found["captured"]
+    assert np.sign(found["placed"][captured]["position"][0]) == np.sign(x)
+    floor_px = frame["reflection_hit"] > 0
+    seen = frame["reflection"][floor_px]
+    own, other = (0, 2) if x < 0 else (2, 0)
+    assert floor_px.mean() > 0.2 and (seen[:, own] > 4 * seen[:, other]).mean() > 0.999
+    # Seen from the other room the other one is captured too, and what was captured before is kept.
+    settings = gh.Settings(reflections="probe", aa=1, exposure=0.0)
+    later = renderer.render(made, 1, SIZE, settings, AOVS)
+    assert sorted(later.receipt["probes"]["captured"]) == [0, 1]
+    seen = later["reflection"][later["reflection_hit"] > 0]
+    assert (seen[:, other] > 4 * seen[:, own]).mean() > 0.999
+
+
+def test_no_seam_where_one_gives_way_to_the_next(context: "Context", renderer: gh.Renderer) -> None:
+    """A long hall whose colours are places, cut in two: along its floor nothing jumps, but without a fade it does."""
+    hall = mirror_room.placed(box((-7, 0, -2), (7, 3, 2), inside=True))
+    made = scene(
+        [(hall, Material("place", unlit=True)), (floor(6.9, 0.01), metal())],
+        Camera.look_at((0, 1.5, 1.9), (0, 0, -0.5), fov_y=1.2), environment=constant_sky(0.0),
+    )  # fmt: skip
+    reach = (((-9, -9, -9), (0.0, 9, 9)), ((0.0, -9, -9), (9, 9, 9)))
+    steps = []
+    for fade in (0.0, 0.7):
+        probes = tuple(
+            Probe((x, 1.2, 0.5), (-7, 0, -2), (x / 3, 2.5, 2) if x > 0 else (7, 3, 2), reach=r, fade=fade)
+            for x, r in zip((-4.0, 4.0), reach, strict=True)
+        )
+        frame = renderer.render(
+            made.replace(probes=tuple(replace(p, high=(7, 3, 2)) for p in probes)), 0, SIZE,
+            gh.Settings(reflections="probe", aa=1, exposure=0.0), (*AOVS, "position"),
+        )  # fmt: skip
+        use = (frame["reflection_hit"] > 0)[:, 1:] & (frame["reflection_hit"] > 0)[:, :-1]
+        jump = np.abs(np.diff(frame["reflection"], axis=1)).max(-1)
+        x = frame["position"][..., 0]
+        at = use & (x[:, :-1] < 0) & (x[:, 1:] >= 0)
+        assert at.sum() > 20
+        steps.append((float(jump[at].mean()), float(jump[use & (np.abs(x[:, 1:]) < 0.7)].mean())))
+    assert steps[1][0] < 1.5 * steps[1][1], steps
+
+
+def test_more_are_placed_where_one_is_not_enough(context: "Context", renderer: gh.Renderer) -> None:
+    """Five rooms: as many as may be, up to one each; none where nothing is in the sky's way."""
+    parts: list[Any] = []
+    for k in range(5):
+        x = 10.0 * k
+        parts.append((box((x - 4, 0, -3), (x + 4, 3, 3), inside=True), matte((0.2 + 0.15 * k, 0.5, 0.5))))
+        parts.append((floor(2.9, 0.01), metal(double_sided=False), (x, 0, 0)))
+    made = scene(parts, Camera.look_at((20, 1.5, 2.5), (20, 0, -1)), environment=constant_sky(0.5))
+    made = made.replace(cameras=(Camera.look_at((20, 1.5, 2.5), (20, 0, -1)),))
+    for count in (1, 3, 8):
+        placed = shot(renderer, made, count=count, resolution=16).receipt["probes"]["placed"]
+        rooms = {round(p["position"][0] / 10) for p in placed}
+        assert len(placed) == min(count, 5) and (count < 5 or len(rooms) == 5), (count, rooms)
+    alone = scene([(floor(3), metal())], Camera.look_at((0, 1.5, 3), (0, 0, 0)), environment=constant_sky(0.5))
+    frame = shot(renderer, alone)
+    assert frame.receipt["probes"]["placed"] == [] and frame.receipt["probes"]["bytes"] < 100
+    want = shot(renderer, alone, "env")
+    assert np.allclose(frame["radiance"], want["radiance"], rtol=1e-5)
+
+
+def test_places_come_back_from_the_disk(context: "Context", tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(content_cache, "cache_dir", lambda: tmp_path)
+    found = []
+    looks: list[int] = []
+    choose = probe_capture._choose
+    monkeypatch.setattr(probe_capture, "_choose", lambda *a: looks.append(1) or choose(*a))
+    for _ in range(2):
+        with gh.Renderer(context=context) as fresh:
+            found.append(shot(fresh, two_rooms(3.0), resolution=16).receipt["probes"]["placed"])
+    assert found[0] == found[1] and looks == [1]
 
 
 def test_blurred_as_the_sky_is(context: "Context", renderer: gh.Renderer) -> None:
