@@ -18,7 +18,7 @@ from glhybrid.view import View, make_view
 if TYPE_CHECKING:
     from glhybrid.staged import Staged
 
-VERSION = 2  # of how places are chosen
+VERSION = 3  # of how places are chosen
 FEW_TRIANGLES = 100_000  # past it a tree is sooner built than all is drawn some 200 times
 EYES = 4  # cameras of a scene that have a say
 

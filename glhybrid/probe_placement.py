@@ -112,11 +112,13 @@ def place(surfaces: Surfaces, eyes: list[F64], bounds: F64, count: int, blend: f
         if not cuts[k].gain > LEAST_GAIN[1] * worst:
             break
         cells[k : k + 1] = _halves(cells[k], surfaces.point, cuts[k])
-    best = [int(error[cell.rows].sum(0).argmin()) for cell in cells]
-    return tuple(
-        _bounded(options[o], cell, surfaces, blend, k)
-        for k, (o, cell) in enumerate(zip(best, cells, strict=True)) if o < len(options)
-    )  # fmt: skip
+    found = []
+    for k, cell in enumerate(cells):
+        left = error[cell.rows].sum(0)
+        best = int(left[:-1].argmin())
+        if left[best] < left[-1]:  # else the sky, at no cost
+            found.append(_bounded(options[best], cell, surfaces, blend, k))
+    return tuple(found)
 
 
 class _Cell(NamedTuple):
