@@ -15,6 +15,11 @@ def has_lamps(environment: Environment) -> bool:
     return bool(light.max() > LAMP * _mean(light))
 
 
+def mean_luminance(environment: Environment) -> float:
+    """Of what is seen of it, over all directions."""
+    return _mean(np.maximum(environment.radiance @ LUMINANCE.astype(np.float32), 0)) * environment.intensity
+
+
 def _mean(light: F32 | F64) -> float:
     """Over the sphere, of an equirect (H, W)."""
     solid = -np.diff(np.cos(np.linspace(0, np.pi, light.shape[0] + 1)))

@@ -71,7 +71,8 @@ class Passes:
         if features.march:
             self.reflect = Ssr(shaders, scene, features, settings)
         elif features.glossy:
-            self.reflect = Glossy(shaders, scene, features, settings, plan.split)
+            self.reflect = Glossy(context, shaders, scene, features, settings, plan.split)
+            constants.put(emissive_weight=self.reflect.emissive_weight)
         elif features.reflections and features.reflect_grid:
             self.reflect = ReflectSparse(context, shaders, scene, features, settings)
         elif features.reflections:
@@ -147,7 +148,7 @@ class Passes:
 
     def release(self) -> None:
         """Frees what passes own; images belong to Targets."""
-        sparse = self.reflect if isinstance(self.reflect, ReflectSparse) else None
-        for owner in (*self._gbuffers.values(), self.maps, sparse):
+        reflect = self.reflect if isinstance(self.reflect, (ReflectSparse, Glossy)) else None
+        for owner in (*self._gbuffers.values(), self.maps, reflect):
             if owner is not None:
                 owner.release()

@@ -6,7 +6,7 @@ Each field of Features is a define, always set, 0 or 1 (or a number): USE_<NAME>
 
 from dataclasses import dataclass, fields, replace
 
-from glhybrid import techniques
+from glhybrid import emitters, techniques
 from glhybrid.environment_cdf import has_lamps
 from glhybrid.layout import CONSTANTS
 from glhybrid.scene import TEXTURE_SLOTS, Material, Scene, Sphere, Triangles
@@ -60,7 +60,7 @@ class Features:
     denoise_occlusion: bool = False  # and that of rays to the sky
     denoise_signal: int = 0  # which, in passes/denoise_*.comp
     denoise_last: bool = False  # the last step of a filter
-    emitters: bool = False  # reference: something shines
+    emitters: bool = False  # something shines, and rays are sent to it
     terminator: bool = False
     reason: bool = False
     exact_distance: bool = False  # lengths of reflection rays in double precision, for the AOV
@@ -158,6 +158,8 @@ def find(scene: Scene, settings: Settings) -> Needs:
     glossy = reflections and reflecting.mirror_pass == "glossy"
     rough = any(reflective(m, cutoff) and not exact_mirror(m) for m in materials)
     sky_rays = glossy and rough and settings.parameter("reflections.ray-glossy.sky_rays")
+    lamp_rays = glossy and rough and settings.parameter("reflections.ray-glossy.lamp_rays")
+    shining = any(max(m.emissive) > 0 for m in materials)
     technique = techniques.SHADOWS[settings.shadows]
     visibility = lit and settings.shadows != "none" and not reference
     shadow_maps = visibility and technique.depth_maps
@@ -206,7 +208,7 @@ def find(scene: Scene, settings: Settings) -> Needs:
         reuse=denoise and settings.parameter("reflections.ray-glossy.samples") <= REUSED_RAYS,
         denoise_shadows=visibility and light_discs and settings.parameter("shadows.ray-soft.denoise"),
         denoise_occlusion=occlusion and settings.ao == "ray" and settings.parameter("ao.ray.denoise"),
-        emitters=reference and any(max(m.emissive) > 0 for m in materials),
+        emitters=(reference and shining) or (lamp_rays and emitters.has_lamps(scene, materials)),
         lightmap=lightmap,
         terminator=visibility and settings.terminator and not (shadow_maps or lightmap),
     )  # fmt: skip
@@ -240,6 +242,14 @@ def find(scene: Scene, settings: Settings) -> Needs:
         ]
         * (not reference),
         *[("rays to lamps of the sky", features.sky_samples, "it has none")] * bool(sky_rays),
+        *[
+            (
+                "rays to meshes that shine",
+                features.emitters,
+                "none is much brighter than the sky, or things move or blend" if shining else "none does",
+            )
+        ]
+        * bool(lamp_rays),
         *[("penumbras", light_discs, "no light has a size")] * (settings.shadows == "ray-soft" and visibility),
     ):
         if not present:

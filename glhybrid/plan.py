@@ -70,7 +70,7 @@ def make(
         branchless=software,
     )
     split = (settings.reflections == "ray-lerp" or features.glossy) and features.reflections and not features.blended
-    split = split and not features.sky_samples
+    split = split and not (features.sky_samples or (features.glossy and features.emitters))
     split = split and settings.kernels != "fused"
     split = split and (settings.kernels == "split" or not software)
     if split:

@@ -259,6 +259,7 @@ _ALL = (
         parameters=(
             Parameter("samples", 4, "rays a pixel from a roughness of 0.25 on; a mirror takes one", 1, 4096),
             Parameter("sky_rays", True, "a second ray beside each, to where the sky has a sun or lamps", sweep=()),
+            Parameter("lamp_rays", True, "the same, to meshes that shine much brighter than the sky", sweep=()),
             _CUTOFF,
             *_FILTER,
         ),

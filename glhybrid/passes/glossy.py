@@ -5,6 +5,8 @@ Fused or split as `reflect` is (passes/reflect.py): split, each ray takes a disp
 
 from typing import Any
 
+from glhybrid.context import Context
+from glhybrid.emitters import emitter_rows
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.needs import Features
 from glhybrid.settings import Settings
@@ -20,8 +22,21 @@ class Glossy:
     name = "glossy"
 
     def __init__(
-        self, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings, split: bool = False
+        self,
+        context: Context,
+        shaders: Shaders,
+        scene: GpuScene,
+        features: Features,
+        settings: Settings,
+        split: bool = False,
     ) -> None:
+        self._emitters: Any = None
+        self.emissive_weight = 0.0  # for the frame's constants
+        if features.emitters:
+            rows, self.emissive_weight = emitter_rows(scene.geometry)
+            features = features.replace(emitters=len(rows) > 0)
+            if len(rows):
+                self._emitters = context.gl.buffer(rows.tobytes())
         lobes = {"reflection": features.replace(glossy_coat=False)}
         if features.clearcoat:
             lobes["reflection_coat"] = features.replace(glossy_coat=True, reason=False, reuse=features.reuse_coat)
@@ -33,7 +48,9 @@ class Glossy:
         self._scene, self._features = scene, features
         self._rays = settings.parameter("reflections.ray-glossy.samples")
         shadow_rays = len(scene.lights) if features.shadow_rays else 0
-        self._at_once = 1 if split else max(1, RAYS_AT_ONCE // (1 + shadow_rays + features.sky_samples))
+        self._at_once = (
+            1 if split else max(1, RAYS_AT_ONCE // (1 + shadow_rays + features.sky_samples + features.emitters))
+        )
 
     @property
     def lobes(self) -> tuple[str, ...]:
@@ -45,6 +62,8 @@ class Glossy:
         resources = {**self._scene.resources, "gbuffer_id": ids, "rays": self._rays}
         if self._features.reason:
             resources["out_reason"] = targets.get("reason")
+        if self._emitters is not None:
+            resources["Emitters"] = self._emitters
         resources |= {name: targets.get(name) for name in self._handed_on}
         for lobe, programs in self._programs.items():
             resources["out_reflection"] = targets.get(lobe)
@@ -57,3 +76,9 @@ class Glossy:
                 for program in programs:
                     program.dispatch(resources, targets.size)
         return {lobe: targets.get(lobe) for lobe in self._programs}
+
+    def release(self) -> None:
+        """Frees the table of what shines."""
+        if self._emitters is not None:
+            self._emitters.release()
+            self._emitters = None

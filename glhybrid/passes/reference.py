@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from glhybrid import layout
 from glhybrid.context import Context
-from glhybrid.geometry import Geometry
+from glhybrid.emitters import emitter_rows
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.layout import CONSTANTS
 from glhybrid.needs import Features
@@ -23,7 +22,6 @@ from glhybrid.pace import Bands, spread_rows
 from glhybrid.shaders import Shaders
 from glhybrid.targets import Targets
 
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 TILE = 64  # pixels
 WAVE, SOFTWARE_WAVE = 1 << 20, 1 << 13  # paths: enough for a GPU's lanes at the last bounces; as fit a CPU's caches
 SAMPLES_AT_ONCE = 16  # in a wave on a GPU, of small pictures
@@ -156,38 +154,3 @@ class Reference:
         for owned in self._owned:
             owned.release()
         self._owned.clear()
-
-
-def emitter_rows(geometry: Geometry) -> tuple[np.ndarray, float]:
-    """Rows of layout Emitter over all shining triangles and spheres, and the sum of their area times luminance.
-
-    A sphere under a scale that is not uniform counts as one of the same volume: passes/reference.comp does so too.
-    """
-    groups, materials = geometry.hit_groups, geometry.materials
-    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    for i, mesh_row in enumerate(geometry.instance_mesh.tolist()):
-        for number, (first, count) in enumerate(geometry.meshes[mesh_row].geometries):
-            material = materials[groups[geometry.records[geometry.first_record[i] + number, 0], 1]]
-            luminance = float(LUMINANCE @ np.asarray(material.emissive))
-            if luminance <= 0 or material.unlit:
-                continue
-            for row, geometry_number, sphere in geometry.meshes[mesh_row].spheres:
-                if geometry_number == number:
-                    volume = abs(float(np.linalg.det(geometry.world_from_object[i, :3, :3])))
-                    area = np.array([4 * np.pi * float(sphere[3]) ** 2 * volume ** (2 / 3)])
-                    parts.append((np.array([i], np.uint32), np.array([row], np.uint32), area * luminance))
-            if count == 0:
-                continue
-            rows = np.arange(first, first + count, dtype=np.uint32)
-            corner = geometry.vertices[geometry.triangles[rows, :3], :3].astype(np.float64)
-            edges = (corner[:, 1:] - corner[:, :1]) @ geometry.world_from_object[i, :3, :3].T
-            area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / 2
-            parts.append((np.full(count, i, np.uint32), rows, area * luminance))
-    if not parts:
-        return np.zeros(0, layout.dtype("Emitter")), 0.0
-    table = np.zeros(sum(len(p[1]) for p in parts), layout.dtype("Emitter"))
-    weight = np.concatenate([p[2] for p in parts])
-    table["instance"], table["triangle"] = (np.concatenate([p[k] for p in parts]) for k in (0, 1))
-    table["cdf"] = np.cumsum(weight) / weight.sum()
-    table["cdf"][-1] = 1
-    return table, float(weight.sum())

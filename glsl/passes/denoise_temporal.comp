@@ -194,7 +194,7 @@ void main() {
 #if USE_REUSE
         float trusted = min(past.samples, 8.0 * (frames_of(past.drift, n.y) - 1.0) * n.y);
         Reused reused = reuse_rays(px, g, toward_eye(g), length_of(vec4(near.nearest), g), near.nearest, trusted);
-#if USE_SKY_SAMPLES
+#if USE_SKY_SAMPLES || USE_EMITTERS
         // What rays to lamps brought is this pixel's alone, and so is its share of the noise.
         vec3 beside = max(s.rgb - reused.own, vec3(0.0));
         float share = luminance(beside) / max(luminance(reused.mean + beside), 1e-30);

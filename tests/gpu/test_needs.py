@@ -224,6 +224,19 @@ def test_no_lamp_in_the_sky_no_ray_to_it(renderer: gh.Renderer) -> None:
     assert not lamp.skipped("rays to lamps of the sky")
 
 
+def test_no_shining_mesh_no_ray_to_it(renderer: gh.Renderer) -> None:
+    """A table of what shines, and a ray to it, only where something much brighter than the sky does."""
+    rough = Material(double_sided=True, roughness=0.4)
+    with gh.Renderer(context=renderer.context) as fresh:
+        for ran in (
+            Ran(fresh, scene(rough), **glossy()), Ran(fresh, scene(replace(rough, emissive=(0.1, 0.1, 0.1))), **glossy()),
+            Ran(fresh, scene(replace(rough, emissive=(500.0, 0, 0))), **glossy(lamp_rays=False)),
+        ):  # fmt: skip
+            assert not ran.names("emitters") and not ran.features.emitters
+    assert Ran(renderer, scene(rough), **glossy()).skipped("rays to meshes that shine")
+    assert Ran(renderer, scene(replace(rough, emissive=(500.0, 0, 0))), **glossy()).names("emitters")
+
+
 def test_no_noise_no_filter(renderer: gh.Renderer) -> None:
     """A filter runs, and has images, only where a technique is noisy: not for hard shadows, mirrors, or when it is off."""
     rough, mirror = Material(double_sided=True, roughness=0.4), Material(double_sided=True, roughness=0.0)

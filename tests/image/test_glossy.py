@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from bars import BARS
 from compare import keep, reference_batches, relative, z_test
-from glossy_scenes import batches, draw, metal_floor, things
-from scene_kit import box, floor, matte, metal, plastic, scene, sun
+from glossy_scenes import batches, draw, metal_floor, painted, things
+from scene_kit import box, constant_sky, floor, matte, metal, plastic, scene, sun
 
 from glhybrid.scene import Camera, Environment, Light, Material, Scene, Sphere
 from glhybrid.settings import Settings
@@ -72,6 +72,38 @@ def test_lamps_in_the_sky(renderer: "Renderer", name: str, scale: float) -> None
         bound = want.mean.mean(-1) + 0.02 * want.mean.mean()
         most.append(max(float((f["radiance"].mean(-1) / bound).max()) for f in frames))
     assert most[0] < 50 and most[1] > 200, most  # two lamps drawn in turn, and texels next to them, leave 10 to 30
+
+
+@pytest.mark.parametrize(("name", "levels"), [("0.15", 1), ("0.4", 2), ("coat", 1)])
+def test_small_lamps_that_are_meshes(renderer: "Renderer", name: str, levels: int, scale: float) -> None:
+    """A ball and a box, mirrored and scaled: Z-test against the reference; no ray finds what the mean does not know of."""
+    lamp = Material("lamp", (0, 0, 0, 1), emissive=(3000.0, 2700.0, 2400.0))
+    material = coated() if name == "coat" else metal((0.95, 0.93, 0.9), float(name))
+    parts = [
+        (floor(4.0), material), (box((-0.5, 0, -0.5), (0.5, 1.3, 0.5)), painted(0.35, 0.08, 0.05), (-0.9, 0, -0.3)),
+        (Sphere(0.03), lamp, (0.4, 0.9, 0.2)), (box((-0.04, -0.01, -0.02), (0.04, 0.0, 0.02)), lamp, (0.9, 1.2, -0.6)),
+    ]  # fmt: skip
+    camera = Camera.look_at((0.4, 1.5, 3.4), (0, 0.25, 0), fov_y=np.radians(44))
+    world = scene(parts, camera, environment=constant_sky((0.3, 0.35, 0.4)))
+    count = int(12 * scale)
+    got = batches(renderer, world, count, size=SIZE, samples=24, levels=levels, parameters=RAW)
+    settings = Settings(reflections="reference", samples=16, bounces=0, aa=1, seed=5, levels=levels)
+    want = reference_batches(renderer, world, SIZE, settings, batches=2 * count)
+    on = draw(renderer, world, 1, "instance_id", size=SIZE)["instance_id"] == 0
+    spread = np.sqrt(got.variance + want.variance + (1e-3 * want.mean.mean()) ** 2)
+    share = (np.abs((got.mean - want.mean) / spread)[on] < 5).mean()
+    assert share > 0.997, share
+    error = np.sqrt((got.variance + want.variance)[on].sum())
+    whole = (got.mean - want.mean)[on].sum() / error  # channels go together: three times the variance at most
+    assert abs(whole) < 3**0.5 * BARS["z of the picture"].value and error < 0.02 * want.mean[on].sum(), (whole, error)
+    most = []
+    for lamp_rays in (True, False):
+        frames = [
+            draw(renderer, world, 1, size=SIZE, seed=k, parameters=RAW | {"lamp_rays": lamp_rays}) for k in range(4)
+        ]
+        bound = want.mean.mean(-1) + 0.02 * want.mean.mean()
+        most.append(max(float((f["radiance"].mean(-1) / bound)[on].max()) for f in frames))
+    assert most[0] < 50 and most[1] > 100, most
 
 
 def lit(roughness: float) -> Scene:
