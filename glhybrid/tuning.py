@@ -111,7 +111,8 @@ def candidates(software: bool) -> tuple[int, ...]:
     What lost to the first everywhere on both kinds of device is no variant, % of the rate: nodes through storage blocks
     (H100 4 to 8, llvmpipe 20 to 35) or of 64 bytes with float planes (H100 3 to 15, llvmpipe 5); the stack in shared
     memory (H100 40 to 60); work groups of 32 (H100 1 to 7); boxes as centre and half extent, a stack that drops what is
-    behind the hit, the top of the stack in a register, projecting instead of shearing triangles (H100 1 to 14).
+    behind the hit, the top of the stack in a register, projecting instead of shearing triangles (H100 1 to 14);
+    the minimum of both planes instead of the near one by sign (H100 4 to 9); two triangles a turn (llvmpipe 4).
     Groups of 128 rays or 16x8 pixels, and rows instead of Morton order, are within 1 of 64 and 8x8. On an H100 one step
     is 5 to 30 behind 4, two are 2 to 9, six and eight up to 4; all at once is up to 5 ahead in one scene and 3 to 25
     behind in others.

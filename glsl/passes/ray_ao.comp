@@ -21,7 +21,8 @@ vec2 open_share(Surface s, ivec2 px) {
     uvec2 start = sequence_start(px, AO_SEQUENCE, frame.seed);
     mat3 frame_n = basis(s.bsdf.n);
     float open = 0.0, asked = 0.0, nearness = 0.0, met = 0.0;
-    for (int i = ray_first; i < ray_end; i++) {
+    int i = ray_first;
+    if (i < ray_end) do {
         vec2 xi = sequence_point(start, frame.number * uint(rays) + uint(i));
         float r = sqrt(xi.x), phi = 2.0 * PI * xi.y;
         vec3 dir = frame_n * vec3(r * cos(phi), r * sin(phi), sqrt(max(0.0, 1.0 - xi.x)));
@@ -34,7 +35,7 @@ vec2 open_share(Surface s, ivec2 px) {
             nearness += 1.0 / max(distance, 1e-30);
             met += 1.0;
         }
-    }
+    } while (++i < ray_end);
     return vec2(asked > 0.0 ? open / asked : 1.0, nearness > 0.0 ? met / nearness : ao_radius);
 }
 

@@ -26,7 +26,8 @@ void main() {
     Point from = point_at(p.hit, p.ray);
     bool unlit = material_row(hit_group_of(p.hit.instance, p.hit.geometry).material).unlit == 1u;
 #endif
-    for (uint i = frame.light_first; i < frame.light_end; i++) {
+    uint i = frame.light_first;
+    do {                                                                   // lights there are: else this pass does not run
         LightSample l = light_at(light_row(i), from.position);
         vec3 visibility = vec3(0.0);
 #if USE_TERMINATOR
@@ -35,5 +36,5 @@ void main() {
         if (arrives(l) && dot(from.n_geo, l.dir) > 0.0 && !unlit) visibility = any_hit(Ray(ray_origin(from, l.dir), 0.0, l.dir, l.distance));
 #endif
         imageStore(out_visibility, ivec3(px, i), vec4(visibility, 1.0));
-    }
+    } while (++i < frame.light_end);
 }
