@@ -72,7 +72,8 @@ void main() {
     uvec2 sky_start = sequence_start(px, SKY_SEQUENCE + uint(GLOSSY_COAT), frame.seed);
     uvec2 texel_start = sequence_start(px, SKY_SEQUENCE + 2u + uint(GLOSSY_COAT), frame.seed);
 #endif
-    for (int i = ray_first; i < end; i++) {
+    int i = ray_first;
+    if (i < end) do {
         Drawn d = draw_ray(a, px, i);
         bent = d.bent;
         float sky = 1.0, distance = INFINITY;
@@ -104,6 +105,6 @@ void main() {
             seen *= d.weight;
         }
         gather(g, px, i, d, distance, seen, beside);
-    }
+    } while (++i < end);
     store_rays(px, a, g, bent, ray_first, end);
 }
