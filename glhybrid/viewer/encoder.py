@@ -65,10 +65,12 @@ class Encoders:
         return memoryview(self._memory)[number * self._room : (number + 1) * self._room]
 
     def encode(self, frame: Coded) -> bytes:
-        """Waits for the file, and lets other threads go on. A process that has died is done without."""
+        """Waits for the file, and lets other threads go on. A process that died is done without; closed: nothing."""
         process = self._processes[frame.exact]
         assert process.stdin is not None and process.stdout is not None
         with self._lock[frame.exact]:
+            if self._file < 0:
+                return b""
             try:
                 process.stdin.write(json.dumps([frame.slot, *frame.size, frame.exact]).encode() + b"\n")
                 process.stdin.flush()
@@ -76,12 +78,16 @@ class Encoders:
                     return process.stdout.read(struct.unpack("<I", head)[0])
             except (OSError, ValueError) as error:
                 log.debug("the process that encodes frames: %s", error)
-        width, height = frame.size
-        with self.slot(frame.slot) as slot:
-            return encode(bytes(slot[: 4 * width * height]), frame.size, frame.exact)
+            width, height = frame.size
+            with self.slot(frame.slot) as slot:
+                return encode(bytes(slot[: 4 * width * height]), frame.size, frame.exact)
 
     def close(self) -> None:
-        """Ends the processes. Twice is harmless."""
+        """Ends the processes, behind what they are at. Twice is harmless."""
+        with self._lock[False], self._lock[True]:
+            self._close()
+
+    def _close(self) -> None:
         for process in self._processes.values():
             assert process.stdin is not None and process.stdout is not None
             with contextlib.suppress(OSError):
