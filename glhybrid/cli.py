@@ -195,6 +195,7 @@ def render(
         progress(f"writing {path}", 0, 0)
         frame.save(path, aov=aovs, exr_float=exr_float)
     receipt: dict[str, Any] = {"output": str(path)} | frame.receipt
+    _say_warnings([w for w in receipt.get("scene", {}).get("warnings", ()) if w not in loaded.warnings])
     if common.json:
         _print_json(receipt)
     elif not common.quiet:

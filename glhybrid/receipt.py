@@ -3,7 +3,7 @@
 import dataclasses
 from typing import TYPE_CHECKING, Any
 
-from glhybrid import __version__, pose
+from glhybrid import __version__, checks, pose
 from glhybrid.timing import Timing
 from glhybrid.view import View
 
@@ -30,7 +30,7 @@ def make(staged: "Staged", view: View, timing: Timing, first_image_ms: float) ->
             "name": scene.name, "path": str(scene.path) if scene.path else None, "sha256": scene.sha256,
             "triangles": scene.triangle_count(), "instances": len(scene.instances), "lights": len(scene.lights),
             "materials": len(upload.geometry.materials), "dropped_triangles": upload.geometry.dropped,
-            "warnings": warnings(staged),
+            "warnings": [*warnings(staged), *checks.check_view(view, staged.bounds)],
         },
         "device": staged.context.device.to_dict(),
         "settings": staged.settings.to_dict() | {

@@ -1,13 +1,14 @@
 """The renderer: pictures of scenes on one device. Owns every GL object; close() frees them."""
 
 import time
-from collections.abc import Iterable, Iterator
+import weakref
+from collections.abc import Callable, Iterable, Iterator
 from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
 
-from glhybrid import outputs, receipt, stream
+from glhybrid import checks, outputs, receipt, stream
 from glhybrid.context import Context, open_context
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.image import Frame, check_aovs
@@ -39,6 +40,7 @@ class Renderer:
         self._most = INTERACTIVE_STAGINGS if interactive else 1
         self.planned_size: tuple[int, int] | None = None  # decides between raster and rays in place of a picture's own
         self._stagings: list[Staged] = []  # the last one was used last
+        self._checked: Callable[[], Scene | None] = lambda: None
         self.rings: set[Ring] = set()  # of frames() and arrays() that are not at their end
 
     def render(
@@ -103,12 +105,13 @@ class Renderer:
         progress: Progress | None = None,
     ) -> tuple[Staged, View, Any, Any]:
         """One picture that stays on the GPU: the staging, the view, and the images of radiance and display."""
-        choose_camera(scene, camera)  # refuses an unknown one before any work is done
+        checks.check_camera(choose_camera(scene, camera))  # before any work is done
         staged = self.stage(scene, settings, size, aovs, progress)
         view = staged.aim(settings, camera, timing.enabled)
         if staged.outgrown:
             staged = self.stage(scene, settings, size, aovs, progress)
             view = staged.aim(settings, camera, timing.enabled)
+        checks.check_view(view, staged.bounds)
         radiance = staged.accumulate(timing, progress)
         return staged, view, radiance, timing.run("display", lambda: staged.display.run(staged.targets, radiance))
 
@@ -125,6 +128,9 @@ class Renderer:
         Another size changes images alone. So do other lights and another turn of the environment change only numbers:
         a scene that differs from a staged one in these (Scene.replace) is not staged anew.
         """
+        if scene is not self._checked():
+            checks.check_scene(scene)
+            self._checked = weakref.ref(scene)
         for staged in reversed(self._stagings):
             if staged.fits(scene, settings, aovs):
                 self._stagings.remove(staged)

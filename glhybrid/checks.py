@@ -1,0 +1,187 @@
+"""Refuses scenes and cameras that could only be drawn wrong: numbers that are none, or beyond what float32 rays bear.
+
+Loaders refuse or mend what files hold; this is for what comes through the API, and for cameras against the scene.
+"""
+
+import math
+from collections.abc import Callable, Iterable
+from typing import Any, get_args
+
+import numpy as np
+
+from glhybrid.errors import SettingError
+from glhybrid.scene import AlphaMode, Camera, Environment, Light, Material, Scene, Sphere
+from glhybrid.view import View
+
+FARTHEST = 1e12  # m: as geometry.LARGEST
+BRIGHTEST = 1e20  # radiance, lux, candela: what is left of float32 bears squares of distances
+WIDEST = math.radians(179)
+TELLS = 2.0**-23  # of 1: what float32 tells apart
+KINDS = ("directional", "point", "spot")
+
+Rule = tuple[Callable[[Any], bool], str]
+
+
+def _within(low: float, high: float) -> Rule:
+    """One number or several, each in a range."""
+
+    def fits(value: Any) -> bool:
+        numbers = np.asarray(value, np.float64)
+        return bool(((numbers >= low) & (numbers <= high)).all())  # False for NaN
+
+    return fits, f"must be from {low:g} to {high:g}"
+
+
+_PLACE, _SHARE, _LIGHT = _within(-FARTHEST, FARTHEST), _within(0, 1), _within(0, BRIGHTEST)
+_LIGHTS: dict[str, Rule] = {
+    "kind": (lambda v: v in KINDS, f"must be one of {', '.join(KINDS)}"), "color": _LIGHT, "intensity": _LIGHT,
+    "position": _PLACE, "radius": _within(0, FARTHEST), "range": _within(0, 3e38), "angular_diameter": _within(0, 3.14),
+}  # fmt: skip
+_MATERIALS: dict[str, Rule] = {
+    "base_color": _within(0, 1e6), "metallic": _SHARE, "roughness": _SHARE, "emissive": _LIGHT,
+    "alpha_mode": (lambda v: v in get_args(AlphaMode), f"must be one of {', '.join(get_args(AlphaMode))}"),
+    "alpha_cutoff": _within(-1e6, 1e6), "normal_scale": _within(-1e6, 1e6), "occlusion_strength": _SHARE,
+    "ior": (lambda v: v == 0 or 1 <= v < 1e6, "must be 0 or at least 1"), "specular": _SHARE, "clearcoat": _SHARE,
+    "specular_color": _within(0, 1e6), "clearcoat_roughness": _SHARE, "transmission": _SHARE,
+}  # fmt: skip
+
+
+def check_scene(scene: Scene) -> None:
+    """Raises SettingError naming the first light, material, instance or number of the sky that cannot be drawn."""
+    _refuse(scene, "light", scene.lights, _LIGHTS)
+    for number, light in enumerate(scene.lights):
+        length = float(np.linalg.norm(np.asarray(light.direction, np.float64)))
+        if light.kind != "point" and not 1e-6 < length < FARTHEST:
+            raise SettingError(
+                f"{scene.name}: {_named('light', number, light)}: direction = {light.direction}: {DIRECTION}"
+            )
+    _refuse(scene, "material", scene.materials, _MATERIALS)
+    if scene.environment is not None:
+        _check_sky(scene.name, scene.environment)
+    for number, mesh in enumerate(scene.meshes):
+        for piece in mesh.primitives:
+            if isinstance(piece, Sphere) and piece.radius < 0:
+                raise SettingError(
+                    f"{scene.name}: {_named('mesh', number, mesh)}: radius = {piece.radius:g}: at least 0"
+                )
+    for number, probe in enumerate(scene.probes):
+        if not all(a < p < b for a, p, b in zip(probe.low, probe.position, probe.high, strict=True)):
+            raise SettingError(
+                f"{scene.name}: {_named('probe', number, probe)}: position {probe.position} must lie in the box from "
+                f"{probe.low} to {probe.high}"
+            )
+    meshes, materials = len(scene.meshes), len(scene.materials)
+    for number, instance in enumerate(scene.instances):
+        what = f'{scene.name}: instance {number} "{instance.name}"'
+        if not 0 <= instance.mesh < meshes:
+            raise SettingError(f"{what}: mesh = {instance.mesh}: there are {meshes}, numbered from 0")
+        if np.shape(instance.world_from_object) != (4, 4):
+            raise SettingError(f"{what}: world_from_object is {np.shape(instance.world_from_object)}, not (4, 4)")
+        if instance.materials:
+            pieces = len(scene.meshes[instance.mesh].primitives)
+            if len(instance.materials) != pieces:
+                raise SettingError(
+                    f"{what}: {len(instance.materials)} materials for the {pieces} primitives of its mesh"
+                )
+            if not 0 <= min(instance.materials) <= max(instance.materials) < materials:
+                raise SettingError(f"{what}: materials = {instance.materials}: there are {materials}, numbered from 0")
+
+
+DIRECTION = "must have a length, such as (0, -1, 0)"
+
+
+def _named(kind: str, number: int, thing: Any) -> str:
+    name = getattr(thing, "name", "")
+    return f'{kind} {number} "{name}"' if name else f"{kind} {number}"
+
+
+def _refuse(scene: Scene, kind: str, things: Iterable[Light | Material], rules: dict[str, Rule]) -> None:
+    for number, thing in enumerate(things):
+        for name, (fits, says) in rules.items():
+            value = getattr(thing, name)
+            try:
+                fine = fits(value)
+            except (TypeError, ValueError):
+                fine = False
+            if not fine:
+                raise SettingError(f"{scene.name}: {_named(kind, number, thing)}: {name} = {value!r}: {says}")
+
+
+def _check_sky(name: str, sky: Environment) -> None:
+    shape = np.shape(sky.radiance)
+    if len(shape) != 3 or shape[2] != 3 or 0 in shape:
+        raise SettingError(f"{name}: environment: radiance is {shape}, not (height, width, 3)")
+    for what, value, high in (("intensity", sky.intensity, BRIGHTEST), ("rotation", abs(sky.rotation), 1e6)):
+        if not 0 <= value <= high:
+            raise SettingError(
+                f"{name}: environment: {what} = {getattr(sky, what)!r}: must be finite, at most {high:g}"
+            )
+    low, high = float(np.min(sky.radiance)), float(np.max(sky.radiance))  # NaN if any is
+    if not (math.isfinite(low) and high <= BRIGHTEST) or (sky.constant and low < 0):
+        wrong = ~np.isfinite(sky.radiance) | (sky.radiance > BRIGHTEST) | (sky.radiance < 0)
+        row, column, _ = (int(k[0]) for k in np.nonzero(wrong))
+        raise SettingError(
+            f"{name}: environment: texel ({row}, {column}) = {sky.radiance[row, column].tolist()}: must be from 0 to "
+            f"{BRIGHTEST:g}: mend the image, such as with numpy.nan_to_num"
+        )
+
+
+def check_camera(camera: Camera) -> None:
+    """Raises SettingError for a camera without a place, a direction, or an angle."""
+    pose, what = np.asarray(camera.world_from_view), f'camera "{camera.name}"'
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        raise SettingError(f"{what}: world_from_view must be a (4, 4) matrix of finite numbers: {pose.tolist()}")
+    if np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max() > 1e-3 or np.abs(pose[3] - (0, 0, 0, 1)).max() > 1e-6:
+        raise SettingError(f"{what}: world_from_view must be rigid, without scale: {pose.tolist()}")
+    if not camera.fov_y <= WIDEST:
+        degrees = math.degrees(camera.fov_y)
+        raise SettingError(f"{what}: fov = {degrees:g} degrees: at most 179, wider ones show everything as a point")
+    if camera.fov_y <= 0 and not (0 < camera.ymag <= FARTHEST and 0 <= camera.xmag <= FARTHEST):
+        raise SettingError(
+            f"{what}: orthographic with half extents of {camera.xmag:g} and {camera.ymag:g} m: must be from 0 to "
+            f"{FARTHEST:g}, and the height not 0"
+        )
+    if not (math.isfinite(camera.near) and (camera.near > 0 or camera.fov_y <= 0)):
+        raise SettingError(f"{what}: near = {camera.near:g} m: must be finite and more than 0")
+    if not (camera.far == 0 or camera.far > camera.near):
+        raise SettingError(
+            f"{what}: far = {camera.far:g} m: must be 0, for no limit, or more than near ({camera.near:g} m)"
+        )
+
+
+def check_view(view: View, bounds: np.ndarray) -> list[str]:
+    """Raises SettingError where float32 rays cannot tell the scene's points or the picture's pixels apart.
+
+    bounds: (2, 3) of what is drawn. Returns a sentence for each thing that makes a picture of nothing.
+    """
+    camera, extent = view.camera, float(np.linalg.norm(bounds[1] - bounds[0]))
+    what = f'camera "{camera.name}"'
+    eye = np.asarray(camera.world_from_view)[:3, 3]
+    if np.abs(eye).max() > FARTHEST:
+        raise SettingError(f"{what}: eye = {eye.tolist()}: at most {FARTHEST:g} m from zero")
+    if not view.orthographic and view.pixel_angle < TELLS:
+        least = math.degrees(2 * math.atan(TELLS * view.size[1] / 2))
+        raise SettingError(
+            f"{what}: fov = {math.degrees(camera.fov_y):g} degrees is {view.pixel_angle:g} rad a pixel, and float32 "
+            f"rays tell {TELLS:.1e} apart: take at least {least:.2g} degrees, or go nearer"
+        )
+    if not extent > 0 or not np.isfinite(extent):
+        return []
+    away = float(np.linalg.norm(np.maximum(np.maximum(bounds[0] - eye, eye - bounds[1]), 0)))
+    if away * TELLS > 0.1 * extent:
+        raise SettingError(
+            f"{what}: eye = {eye.tolist()} is {away:g} m from a scene of {extent:g} m: float32 rays tell "
+            f"{away * TELLS:g} m apart there: go nearer than {0.1 * extent / TELLS:.1g} m"
+        )
+    pixel = view.pixel_angle if view.orthographic else view.pixel_angle * away
+    if view.orthographic and pixel < TELLS * extent * 1e-3:
+        raise SettingError(
+            f"{what}: height = {camera.ymag:g} m is {pixel:g} m a pixel, and a scene of {extent:g} m is told apart to "
+            f"{TELLS * extent:g} m: take more"
+        )
+    said = []
+    if pixel > extent:
+        said.append(f"{what}: the whole scene, {extent:g} m, is smaller than a pixel, {pixel:g} m at its distance")
+    if not view.orthographic and camera.near > away + extent:
+        said.append(f"{what}: near = {camera.near:g} m is behind the whole scene, which ends at {away + extent:g} m")
+    return said
