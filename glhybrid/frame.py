@@ -13,9 +13,11 @@ from glhybrid.needs import Features
 from glhybrid.passes.baked import Baked
 from glhybrid.passes.composite import Composite
 from glhybrid.passes.denoise import Denoise
+from glhybrid.passes.display import Display
 from glhybrid.passes.gbuffer import GBufferRaster, GBufferTrace
 from glhybrid.passes.glossy import Glossy
 from glhybrid.passes.ray_ao import RayAo
+from glhybrid.passes.rays import Rays
 from glhybrid.passes.reflect import Reflect
 from glhybrid.passes.reflect_sparse import ReflectSparse
 from glhybrid.passes.screen_depth import ScreenDepth
@@ -45,6 +47,7 @@ class Passes:
         settings: Settings,
         plan: Plan,
         constants: FrameConstants,
+        display: Display,
         progress: Progress | None = None,
     ) -> None:
         self._context, self._shaders, self._scene, self._features = context, shaders, scene, features
@@ -60,6 +63,8 @@ class Passes:
             self.shadow = Shadow(shaders, scene, features)
 
         self._gbuffers: dict[bool, GBufferRaster | GBufferTrace] = {}  # after light maps, which may be given up
+        self._joined = plan.joined
+        self.rays: Rays | None = None
         self.see(plan.primary)
 
         self.occlusion: Ssao | RayAo | None = None
@@ -80,25 +85,33 @@ class Passes:
 
         self.denoise = Denoise(shaders, scene, features, settings) if features.filtered else None
         composed = settings.reflections != "reference" or not len(scene.geometry.meshes)
-        self.composite = Composite(shaders, scene, features) if composed else None
+        self.composite = Composite(shaders, scene, features, display) if composed else None
 
     def run(self, targets: Targets, timed: Timed) -> Any:
         """One frame -> the image of linear radiance."""
         composite = self.composite
         assert composite is not None
-        ids = timed(self.gbuffer.name, lambda: self.gbuffer.run(targets))
-        visibility, indirect = self.light(targets, ids, timed)
+        rays, visibility = self.rays, None
+        if rays is not None:
+            ids, visibility = timed(rays.name, lambda: rays.run(targets))
+        else:
+            ids = timed(self.gbuffer.name, lambda: self.gbuffer.run(targets))
+        visibility, indirect = self.light(targets, ids, timed, visibility, shade=not self._features.mirror_hits)
         return timed(composite.name, lambda: composite.run(targets, ids, visibility, indirect))
 
-    def light(self, targets: Targets, ids: Any, timed: Timed) -> tuple[Any, dict[str, Any]]:
-        """The image of what light arrives directly, and by their channels those of what arrives by other ways."""
+    def light(
+        self, targets: Targets, ids: Any, timed: Timed, visibility: Any = None, shade: bool = True
+    ) -> tuple[Any, dict[str, Any]]:
+        """The image of what light arrives directly, and by their channels those of what arrives by other ways.
+
+        visibility: if that image is made already. Not shade: what mirror rays met, in place of what comes along them.
+        """
         shadow, occlusion, screen_depth, reflect = self.shadow, self.occlusion, self.screen_depth, self.reflect
         denoise = self.denoise
-        visibility: Any = None
         indirect: dict[str, Any] = {}
         if denoise is not None:
             timed(denoise.name, lambda: denoise.begin(targets, ids))
-        if shadow is not None:
+        if shadow is not None and visibility is None:
             choose, wait = self._constants.choose_lights, {}
             if isinstance(shadow, Shadow) and isinstance(reflect, Reflect) and denoise is None and occlusion is None:
                 wait = {"wait": False}  # a GPU begins with the mirror rays while the last of these are on their way
@@ -111,6 +124,8 @@ class Passes:
             assert screen_depth is not None
             screen = timed(screen_depth.name, lambda: screen_depth.run(targets, ids))
             indirect |= timed(reflect.name, lambda: reflect.run(targets, ids, visibility, screen))
+        elif isinstance(reflect, Reflect):
+            indirect |= timed(reflect.name, lambda: reflect.run(targets, ids, shade))
         elif reflect is not None:
             indirect |= timed(reflect.name, lambda: reflect.run(targets, ids))
         if denoise is not None:
@@ -145,6 +160,7 @@ class Passes:
                 else GBufferRaster(self._context, self._shaders, self._scene, self._features)
             )
         self.gbuffer = self._gbuffers[traced]
+        self.rays = Rays(self._shaders, self._scene, self._features) if traced and self._joined else None
 
     def release(self) -> None:
         """Frees what passes own; images belong to Targets."""

@@ -49,6 +49,7 @@ class Features:
     probes: bool = False  # captured surroundings stand before the sky
     probes_blurred: bool = False  # and not only exact mirrors show them
     mirror_shadows: bool = False  # and what it meets sends its shadow rays in the same program
+    mirror_hits: bool = False  # and the composite shades it
     march: bool = False  # and looks into the G-buffer first
     reflect_grid: int = 0  # which pixels send mirror rays before what is between them (layout GRID_*)
     pixel_list: bool = False  # or those on a list
@@ -60,6 +61,7 @@ class Features:
     denoise_occlusion: bool = False  # and that of rays to the sky
     denoise_signal: int = 0  # which, in passes/denoise_*.comp
     denoise_last: bool = False  # the last step of a filter
+    encodes: bool = False  # the composite encodes for the screen, under a given exposure
     emitters: bool = False  # something shines, and rays are sent to it
     terminator: bool = False
     reason: bool = False

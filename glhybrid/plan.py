@@ -1,5 +1,6 @@
 """What will run for a scene, settings and device, and why: decided here, carried out by frame.py, printable."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
     from glhybrid.image import Frame
 
 
+JOINED_LIGHTS = 8  # asked in one program: as in passes/shadow.py
+
+
 @dataclass(frozen=True)
 class Plan:
     """passes: names in order. reasons: one sentence a decision. skipped: what was left out, and why."""
@@ -26,6 +30,7 @@ class Plan:
     trees: bool  # something sends rays
     primary: str  # raster or trace
     split: bool  # reflections in several programs
+    joined: bool  # camera and shadow rays in one, as long as the view is not rasterised
     passes: tuple[str, ...]
     reasons: tuple[str, ...]
     skipped: tuple[str, ...]
@@ -69,14 +74,19 @@ def make(
         buffer_array=software,
         branchless=software,
     )
+    kernels = settings.kernels if settings.kernels != "auto" else "fused" if software else "auto"
     split = (settings.reflections == "ray-lerp" or features.glossy) and features.reflections and not features.blended
     split = split and not (features.sky_samples or (features.glossy and features.emitters))
-    split = split and settings.kernels != "fused"
-    split = split and (settings.kernels == "split" or not software)
+    split = split and kernels != "fused"
     if split:
-        features = features.replace(mirror_shadows=features.shadow_bits and _plain(features))
-        parts = "two programs" if features.mirror_shadows else "three programs"
+        plain = _plain(features)
+        hits = not (features.glossy or features.reflect_grid) and (kernels == "joined" or (kernels == "auto" and plain))
+        features = features.replace(mirror_shadows=features.shadow_bits and plain, mirror_hits=hits)
+        parts = "a program of rays and one of shading" if features.mirror_shadows else "programs of rays and of shading"
         reasons.append(f"reflections run as {parts}: a GPU keeps more rays in flight beside less shading code")
+    joined = kernels in ("auto", "joined") and _joins(features, settings, len(scene.lights))
+    joined = joined and (kernels == "joined" or not (features.two_level or features.spheres))
+    features = features.replace(encodes=kernels in ("auto", "joined"))
     if features.probes:
         named = len(scene.probes)
         most = settings.parameter("reflections.probe.count")
@@ -106,7 +116,8 @@ def make(
         passes += _mirror_passes(features, settings)
         passes += ["denoise"] * features.filtered + ["composite"]
     passes.append("display")
-    return Plan(features, levels, trees, primary, split, tuple(passes), tuple(reasons), tuple(skipped))
+    passes = _joined(passes) if joined and primary == "trace" else passes
+    return Plan(features, levels, trees, primary, split, joined, tuple(passes), tuple(reasons), tuple(skipped))
 
 
 def _sends_rays(features: Features, settings: Settings) -> bool:
@@ -132,6 +143,22 @@ def _plain(features: Features) -> bool:
     return not (features.alpha_test or features.two_level or features.spheres or features.textures)
 
 
+def _joins(features: Features, settings: Settings, lights: int) -> bool:
+    """Whether camera and shadow rays may go in one program: rays, to the points of a few lights, and nothing else."""
+    other = features.shadow_maps or features.lightmap or features.light_discs or features.blended or features.terminator
+    return features.visibility and not other and lights <= JOINED_LIGHTS and settings.reflections != "reference"
+
+
+def _joined(passes: Iterable[str]) -> list[str]:
+    """The passes with one for camera and shadow rays."""
+    return ["rays" if name == "gbuffer" else name for name in passes if name != "shadow"]
+
+
+def _parted(passes: Iterable[str]) -> list[str]:
+    """The same the other way round."""
+    return [part for name in passes for part in (("gbuffer", "shadow") if name == "rays" else (name,))]
+
+
 def resized(plan: Plan, tuning: Tuning, triangles: int, size: tuple[int, int]) -> Plan:
     """The same plan at another size: which of raster and rays is faster depends on it. For settings.primary = auto.
 
@@ -141,7 +168,9 @@ def resized(plan: Plan, tuning: Tuning, triangles: int, size: tuple[int, int]) -
         return plan
     primary, why = tuning.primary(size[0] * size[1], triangles)
     reasons = (why if reason.startswith(VISIBILITY) else reason for reason in plan.reasons)
-    return replace(plan, primary=primary, reasons=tuple(reasons))
+    passes = _parted(plan.passes)
+    passes = _joined(passes) if plan.joined and primary == "trace" else passes
+    return replace(plan, primary=primary, reasons=tuple(reasons), passes=tuple(passes))
 
 
 def _mirror_passes(features: Features, settings: Settings) -> list[str]:

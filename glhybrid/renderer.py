@@ -113,7 +113,7 @@ class Renderer:
             view = staged.aim(settings, camera, timing.enabled)
         checks.check_view(view, staged.bounds)
         radiance = staged.accumulate(timing, progress)
-        return staged, view, radiance, timing.run("display", lambda: staged.display.run(staged.targets, radiance))
+        return staged, view, radiance, timing.run("display", lambda: staged.display.image(staged.targets, radiance))
 
     def stage(
         self,

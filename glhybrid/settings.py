@@ -136,9 +136,9 @@ class Settings:
         1.5, "growth of a deforming tree's SAH cost that has it built anew; 1: every frame, 0: never", float, 0, 1e9
     )
     levels: Literal["auto", 1, 2] = _setting("auto", "levels of the tree", str, choices=("auto", 1, 2))
-    kernels: Literal["auto", "fused", "split"] = _setting(
-        "auto", "whether ray, shadow and shading of reflections are one program or three", str,
-        choices=("auto", "fused", "split"),
+    kernels: Literal["auto", "fused", "split", "joined"] = _setting(
+        "auto", "reflections in one program, in three, or split with what is small joined to its neighbours", str,
+        choices=("auto", "fused", "split", "joined"),
     )  # fmt: skip
     primary: Literal["auto", "raster", "trace"] = _setting(
         "auto", "how first surfaces are found", str, choices=("auto", "raster", "trace")

@@ -38,7 +38,7 @@ LIVE = frozenset({"exposure", "tone", "aa", "bounces", "seed"})  # settings that
 LIT_AHEAD = {"baked", "probe"}  # techniques that hold light from when they were staged
 UNUSED_STACK = 4  # entries, for programs that hold the code of rays and send none
 OF_SURFACES = (
-    "occlusion", "reflections", "mirror_rays", "march", "glossy", "probes", "probes_blurred", "denoise",
+    "occlusion", "reflections", "mirror_rays", "mirror_hits", "march", "glossy", "probes", "probes_blurred", "denoise",
     "denoise_shadows", "denoise_occlusion", "visibility", "shadow_maps", "shadow_rays", "shadow_bits", "lightmap",
 )  # features that a scene without any does not need  # fmt: skip
 # AOVs that passes make as they go: the image, its first channel and how many, and the value where no pass runs.
@@ -109,13 +109,15 @@ class Staged:
 
         # What a picture is made of besides the frame: Kim's (frame.py), or the reference in its place.
         features = self.features
-        self.passes = Passes(context, shaders, self.upload, features, settings, self.plan, self.constants, progress)
+        self.display = Display(context, shaders, self.constants)
+        self.passes = Passes(
+            context, shaders, self.upload, features, settings, self.plan, self.constants, self.display, progress
+        )
         self._add(self.passes.resources)
         self.probe = Probe(context, shaders, self.upload, features, settings) if features.probes else None
         self._capture: Capture | None = None
         reference = self.passes.composite is None
         self.reference = Reference(context, shaders, self.upload, features) if reference else None
-        self.display = Display(context, shaders, self.constants)
         self._aov = Aov(shaders, self.upload, features)
         self._ids: Any = None  # of the pixel centres, once AOVs asked for them
         self.stochastic = features.glossy or features.light_discs or features.occlusion

@@ -64,7 +64,7 @@ def steady_frame(
         staged.look(view)
         staged.set(jitter_px=(0, 0), accumulate=0)
         radiance = staged.frame(timing)
-        timing.run("display", lambda: staged.display.run(staged.targets, radiance))
+        timing.run("display", lambda: staged.display.image(staged.targets, radiance))
 
     return frame
 
@@ -105,7 +105,7 @@ def host_seconds(
             clip = renderer.context.limits.clip_control
             staged.look(make_view(replace(camera, world_from_view=pose), size, scene, clip, staged.bounds))
             staged.set(jitter_px=(0, 0), accumulate=0)
-            staged.display.run(staged.targets, staged.frame(off))
+            staged.display.image(staged.targets, staged.frame(off))
         else:
             frame(off)
         times.append(time.thread_time() - start)

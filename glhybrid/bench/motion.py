@@ -198,7 +198,7 @@ def play(
         steps.append(float(frame["bvh_steps"][hit].mean()) if hit.any() else 0.0)
         passes = {p["name"]: p["ms"] for p in frame.receipt["passes"]}
         refit_ms.append(passes.get("refit", 0.0))
-        trace_ms.append(sum(passes.get(p, 0.0) for p in ("gbuffer", "shadow", "reflect")))
+        trace_ms.append(sum(passes.get(p, 0.0) for p in ("gbuffer", "shadow", "rays", "reflect")))
         errors.append(float(np.abs(frame["radiance"] - fresh[k][1]).max()))
     means = (float(np.mean(v)) for v in (ratio, steps))
     # Times of the first frames are those of compilers.

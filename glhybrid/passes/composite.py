@@ -1,11 +1,12 @@
-"""Light, visibility, sky and reflection -> linear radiance."""
+"""Light, visibility, sky and reflection -> linear radiance; on a GPU also encoded, if the exposure is given."""
 
 from collections.abc import Mapping
 from typing import Any
 
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.needs import Features
-from glhybrid.shaders import Shaders
+from glhybrid.passes.display import Display
+from glhybrid.shaders import Program, Shaders
 from glhybrid.targets import Targets
 
 
@@ -14,15 +15,21 @@ class Composite:
 
     name = "composite"
 
-    def __init__(self, shaders: Shaders, scene: GpuScene, features: Features) -> None:
-        self._program = shaders.compute("composite", features)
-        self._scene = scene
+    def __init__(self, shaders: Shaders, scene: GpuScene, features: Features, display: Display) -> None:
+        self._shaders, self._scene, self._features, self._display = shaders, scene, features, display
+        self._programs: dict[bool, Program] = {}  # by whether it encodes too
 
     def run(self, targets: Targets, ids: Any, visibility: Any, indirect: Mapping[str, Any]) -> Any:
         """indirect: images by channel: the sky's occlusion, reflections, one a lobe if these are apart."""
-        radiance = targets.get("radiance")
+        radiance, encodes = targets.get("radiance"), self._features.encodes and self._display.given
+        if encodes not in self._programs:
+            self._programs[encodes] = self._shaders.compute("composite", self._features.replace(encodes=encodes))
         resources = {**self._scene.resources, **indirect, "gbuffer_id": ids, "radiance": radiance}
         if visibility is not None:
             resources["visibility"] = visibility
-        self._program.dispatch(resources, targets.size)
+        if encodes:
+            resources |= self._display.resources(targets)
+        self._programs[encodes].dispatch(resources, targets.size)
+        if encodes:
+            self._display.encoded(radiance)
         return radiance

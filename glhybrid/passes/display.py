@@ -13,6 +13,8 @@ from glhybrid.targets import Targets
 
 
 class Display:
+    """Owns the exposure. A pass that makes radiance may encode it too, if the exposure is given: lib/tone.glsl."""
+
     name = "display"
 
     def __init__(self, context: Context, shaders: Shaders, constants: FrameConstants) -> None:
@@ -21,20 +23,42 @@ class Display:
         self._shaders, self._constants = shaders, constants
         self._measure: Program | None = None  # compiled where exposure = auto asks for it
         self._given: float | None = None  # EV in the buffer, if it was not measured
+        self._shown: tuple[Any, Any] = (None, None)  # radiance that was encoded when it was made, and how
 
-    def run(self, targets: Targets, radiance: Any) -> Any:
-        display, given = targets.get("display"), self._constants.exposure_ev
-        resources = {
-            "Frame": self._constants.buffer, "Exposure": self._exposure, "radiance": radiance, "out_display": display,
-        }  # fmt: skip
-        if given is None:
-            self._measure = self._measure or self._shaders.compute("exposure", Features())
-            self._measure.dispatch(resources, (1, 1))
-        elif given != self._given:
+    @property
+    def given(self) -> bool:
+        """Whether the exposure does not wait for the picture."""
+        return self._constants.exposure_ev is not None
+
+    @property
+    def _how(self) -> tuple[float | None, int]:
+        return self._constants.exposure_ev, int(self._constants.rows["tone_map"][0])
+
+    def resources(self, targets: Targets) -> dict[str, Any]:
+        """What encoding needs, under a given exposure."""
+        given = self._constants.exposure_ev
+        if given is not None and given != self._given:
             self._exposure.write(np.float32(given).tobytes())
         self._given = given
+        return {"Frame": self._constants.buffer, "Exposure": self._exposure, "out_display": targets.get("display")}
+
+    def encoded(self, radiance: Any) -> None:
+        """A frame encoded this image as it made it, with the resources above."""
+        self._shown = radiance, self._how
+
+    def image(self, targets: Targets, radiance: Any) -> Any:
+        """What to show of the radiance that a frame made."""
+        return targets.get("display") if self._shown == (radiance, self._how) else self.run(targets, radiance)
+
+    def run(self, targets: Targets, radiance: Any) -> Any:
+        """Encodes, whatever is encoded already, and returns the image to show."""
+        self._shown = None, None
+        resources = self.resources(targets) | {"radiance": radiance}
+        if not self.given:
+            self._measure = self._measure or self._shaders.compute("exposure", Features())
+            self._measure.dispatch(resources, (1, 1))
         self._program.dispatch(resources, targets.size)
-        return display
+        return resources["out_display"]
 
     def exposure_ev(self) -> float:
         """EV that the last frame was shown at. Waits for it."""

@@ -5,6 +5,8 @@ code as at ray hits. Rejected: a fat G-buffer; an H100 takes 0.3 ms for every 4 
 float32 costs accuracy that the tracer then has to live with.
 """
 
+from functools import cached_property
+
 import moderngl
 import numpy as np
 
@@ -13,7 +15,7 @@ from glhybrid.context import Context
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.layout import CONSTANTS
 from glhybrid.needs import Features
-from glhybrid.shaders import Shaders
+from glhybrid.shaders import Program, Shaders
 from glhybrid.targets import Targets
 
 
@@ -107,8 +109,11 @@ class GBufferTrace:
     name = "gbuffer"
 
     def __init__(self, shaders: Shaders, scene: GpuScene, features: Features) -> None:
-        self._program = shaders.compute("gbuffer", features)
-        self._scene = scene
+        self._shaders, self._scene, self._features = shaders, scene, features
+
+    @cached_property
+    def _program(self) -> Program:
+        return self._shaders.compute("gbuffer", self._features)
 
     def run(self, targets: Targets) -> moderngl.Texture:
         """Returns the ids, gbuffer_id of layout.py."""

@@ -138,7 +138,7 @@ class Picture:
             if exposure_ev is not None:
                 staged.constants.exposure_ev = exposure_ev
             staged.set()
-            image = staged.display.run(staged.targets, self._radiance)
+            image = staged.display.image(staged.targets, self._radiance)
             self._shown = *key, image
         return self._shown[-1]
 

@@ -314,7 +314,8 @@ class Pictures:
     def pass_view(self, name: str) -> str:
         """The view that shows what a pass made."""
         known = {
-            "gbuffer": "triangle_id", "shadow": "visibility", "shadow_map": "visibility", "reflect": "reflection",
+            "gbuffer": "triangle_id", "rays": "visibility", "shadow": "visibility", "shadow_map": "visibility",
+            "reflect": "reflection",
             "composite": "radiance", "display": PICTURE, "reference": PICTURE, "skin": "normal", "refit": "bvh_steps",
             "tlas": "instance_id", "pose": "motion",
         }  # fmt: skip

@@ -9,13 +9,15 @@ struct Pixel { Ray ray; Hit hit; };
 
 bool covered(Pixel p) { return p.hit.triangle != ID_NONE; }
 
-Pixel load_pixel(ivec2 px) {
+// id: instance, triangle.
+Pixel pixel_of(ivec2 px, uvec2 id) {
     Pixel p = Pixel(primary_ray(px), MISS);
-    uvec2 id = texelFetch(gbuffer_id, px, 0).xy;
     bool met, front;
     if (id.y != ID_NONE) p.hit = hit_uncut(p.ray, id.x, id.y, met, front);
     return p;
 }
+
+Pixel load_pixel(ivec2 px) { return pixel_of(px, texelFetch(gbuffer_id, px, 0).xy); }
 
 // Diameter of a pixel's footprint at a distance along its ray.
 float footprint(float t) { return frame.orthographic == 1u ? frame.pixel_angle : frame.pixel_angle * t; }

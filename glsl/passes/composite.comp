@@ -5,6 +5,12 @@
 #if USE_GLOSSY
 #include "lib/glossy.glsl"
 #endif
+#if USE_MIRROR_HITS
+#include "lib/mirror_shade.glsl"
+#endif
+#if USE_ENCODES
+#include "lib/tone.glsl"
+#endif
 #include "lib/tile.glsl"
 
 layout(rgba32f) uniform image2D radiance;                  // coverage in a
@@ -14,14 +20,25 @@ uniform sampler2DArray visibility;
 #if USE_OCCLUSION
 uniform sampler2D occlusion;
 #endif
-#if USE_REFLECTIONS
+#if USE_REFLECTIONS && !USE_MIRROR_HITS
 uniform sampler2D reflection;
 #endif
 #if USE_GLOSSY && USE_CLEARCOAT
 uniform sampler2D reflection_coat;
 #endif
 
-vec3 surface_radiance(Pixel p, Surface s, ivec2 px) {
+// What comes along the mirror ray. Before the surface is looked up: less is alive beside its shading.
+vec3 traced_radiance(Pixel p, ivec2 px) {
+#if USE_MIRROR_HITS
+    return mirror_radiance(px, p).rgb;
+#elif USE_REFLECTIONS
+    return texelFetch(reflection, px, 0).rgb;
+#else
+    return vec3(0.0);
+#endif
+}
+
+vec3 surface_radiance(Pixel p, Surface s, vec3 traced, ivec2 px) {
     if (s.unlit) return s.emissive;
 #if USE_OCCLUSION
     s.occlusion *= texelFetch(occlusion, px, 0).r;
@@ -45,12 +62,9 @@ vec3 surface_radiance(Pixel p, Surface s, ivec2 px) {
 #if USE_CLEARCOAT
     coat = texelFetch(reflection_coat, px, 0).rgb;
 #endif
-    return sum + glossy_light(s, v, texelFetch(reflection, px, 0).rgb, coat);
-#elif USE_REFLECTIONS
-    bool has_traced = sends_mirror_ray(s);
-    return sum + indirect_light(s, v, r, texelFetch(reflection, px, 0).rgb, has_traced);
+    return sum + glossy_light(s, v, traced, coat);
 #else
-    return sum + indirect_light(s, v, r, vec3(0.0), false);
+    return sum + indirect_light(s, v, r, traced, REFLECTIONS && sends_mirror_ray(s));
 #endif
 }
 
@@ -94,7 +108,10 @@ void main() {
     if (any(greaterThanEqual(px, frame.size_px))) return;                  // groups overhang the edge
     Pixel p = load_pixel(px);
     vec3 color = vec3(0.0);
-    if (covered(p)) color = surface_radiance(p, load_surface(p), px);
+    if (covered(p)) {
+        vec3 traced = traced_radiance(p, px);
+        color = surface_radiance(p, load_surface(p), traced, px);
+    }
     else color = environment_radiance(p.ray.dir);
 #if USE_BLENDED
     color = layers_over(p, color);
@@ -102,4 +119,7 @@ void main() {
     vec4 result = vec4(color, covered(p) ? 1.0 : 0.0);
     if (frame.accumulate > 0.0) result = mix(result, imageLoad(radiance, px), frame.accumulate);
     imageStore(radiance, px, result);
+#if USE_ENCODES
+    show(px, result.rgb);
+#endif
 }

@@ -32,8 +32,10 @@ def test_one_thing_changes_at_a_time(context: "Context") -> None:
         values = [p.value for p in curve.points]
         assert values == list(SMALL[curve.over])
         assert all(p.frame_ms > 0 and p.wall_ms > 0 and p.host_us > 0 and p.buffer_bytes > 0 for p in curve.points)
-        assert all(set(p.passes) >= {"gbuffer", "shadow", "reflect", "composite"} for p in curve.points)
-        assert set(curve.exponents) >= ({"frame", "gbuffer", "host"} if len(values) > 2 else set())
+        assert all(
+            set(p.passes) & {"gbuffer", "rays"} and set(p.passes) >= {"reflect", "composite"} for p in curve.points
+        )
+        assert set(curve.exponents) >= ({"frame", "composite", "host"} if len(values) > 2 else set())
         same = {(p.size, p.lights, p.instances if curve.over != "instances" else 0) for p in curve.points}
         assert len(same) == (1 if curve.over in ("triangles", "instances") else len(values))
     by_triangles, by_pixels, by_lights, by_instances = result.curves
