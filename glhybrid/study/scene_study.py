@@ -211,6 +211,7 @@ class SceneStudy:
         while self._pending and (len(self._pending) > most or self._pending[0][1].done()):
             row, errors = self._pending.pop(0)
             row |= errors.result()
+            row |= {name: row.pop(name) for name in ("axes", "cell")}  # last, as where it was kept: files stay the same
             self.study.rows.append(row)
 
     @cached_property
