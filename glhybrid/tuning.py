@@ -25,7 +25,7 @@ ALL_STEPS = 1 << 20  # inner nodes in a row: until a leaf
 BUDGET_S = 1.2  # variants that would begin later than this are not tried
 FEW, MANY = 2_000, 20_000  # triangles of the two scenes
 WARM_UP_S = 0.3  # of unpaced work, after which a GPU has raised its clock
-WORTH = 1.02  # a variant replaces the first one only if it is faster by this
+WORTH = 1.1  # a variant replaces the first one only if it is faster by this: one small scene says little of others
 VISIBILITY = "primary visibility"  # what the reason for it begins with
 _GPU = "compute reaches a GPU's memory faster than its raster units"
 

@@ -10,6 +10,7 @@
 // it watertight: an fma contracted on one side of a shared edge only opens a crack.
 // Boxes: Ize, "Robust BVH Ray Traversal", JCGT 2(2) 2013, with the bound taken in grid cells per axis instead of in ulps of t.
 #include "lib/geometry.glsl"
+#include "lib/loop.glsl"
 #include "lib/texture.glsl"
 
 const uint LEAF = 0x80000000u;
@@ -22,13 +23,15 @@ const uint SEE_SURFACES = 0u;      // camera and reflection rays: single-sided b
 const uint SEE_BLOCKERS = 1u;      // shadow rays: everything, blended surfaces tint; stops at the first full blocker
 const uint SEE_BLENDED = 2u;       // only blended surfaces
 
-// llvmpipe runs the body of a loop once more, for no lane, where the condition stands at its head.
-#if USE_BRANCHLESS
-#define WHILE(condition) do
-#define END_WHILE(condition) while (condition);
+// How a box's near and far planes are told apart: by the direction's sign, shifting or multiplying their words, or by the
+// minimum and maximum of both. A GPU's units for products have room, those for shifts, minima and conversions do not: in
+// programs of one traversal an H100 gains 4 to 9 % by products over minima, 1 to 5 % by shifts. But products want six more
+// registers a ray: programs of several traversals, or with the world's ray beside the local one, were slower when they had them.
+#define BY_SHIFTS USE_BRANCHLESS
+#if BY_SHIFTS || USE_TWO_LEVEL || defined(SEVERAL_TRAVERSALS)
+#define BY_PRODUCTS 0
 #else
-#define WHILE(condition) while (condition)
-#define END_WHILE(condition)
+#define BY_PRODUCTS 1
 #endif
 
 const bool ASKS = ALPHA_TEST || BLENDED || SINGLE_SIDED;    // a hit may have to ask an any-hit function
@@ -42,10 +45,10 @@ uint step_count = 0u;
 // A ray in the space of one tree, with what the box and triangle tests need of it.
 struct LocalRay {
     vec3 origin, dir;
-    vec3 inv_dir, near_offset, far_offset;   // in 2^-16 grid cells: t = plane * inv_dir - offset
-#if USE_BRANCHLESS
+    vec3 inv_dir, near_offset, far_offset;   // t = plane * inv_dir - offset, in grid cells; by sign: in 2^-16 of them
+#if BY_SHIFTS
     uvec3 near_shift;                     // 16 where the low plane is the near one, else 0
-#else
+#elif BY_PRODUCTS
     uvec3 near_scale, far_scale;          // 65536 and 1 there, else 1 and 65536
 #endif
     vec3 shear;                           // x, y, z of the watertight test
@@ -67,12 +70,17 @@ LocalRay local_ray(vec3 origin, vec3 dir, vec3 grid_min, vec3 grid_step) {
     vec3 pad = (abs(o) + 65536.0) * 6e-7;
     bvec3 down = lessThan(r.inv_dir, vec3(0.0));
     vec3 low = (o + pad) * r.inv_dir, high = (o - pad) * r.inv_dir;
+#if BY_SHIFTS || BY_PRODUCTS
     r.near_offset = mix(low, high, down);
     r.far_offset = mix(high, low, down);
     r.inv_dir *= 1.0 / 65536.0;
-#if USE_BRANCHLESS
-    r.near_shift = 16u - 16u * uvec3(down);
 #else
+    r.near_offset = low;                                                         // of low planes and of high ones
+    r.far_offset = high;
+#endif
+#if BY_SHIFTS
+    r.near_shift = 16u - 16u * uvec3(down);
+#elif BY_PRODUCTS
     r.near_scale = 65536u - 65535u * uvec3(down);
     r.far_scale = 1u + 65535u * uvec3(down);
 #endif
@@ -96,16 +104,20 @@ LocalRay local_to(uint instance, Ray ray, out uint root) {
 // before it, whichever it is, and t_min is not negative. An integer minimum knows no NaN to look out for: llvmpipe gains a
 // fifth.
 ivec2 box_span(uvec3 planes, LocalRay r, float t_min, float t_max) {
+#if BY_SHIFTS || BY_PRODUCTS
     // A plane in the upper half of its word; the high one keeps the low one as its fraction: less than a cell outward.
-#if USE_BRANCHLESS
+#if BY_SHIFTS
     uvec3 near = planes << r.near_shift, far = planes << (16u - r.near_shift);
 #else
-    // A GPU's units for products have room, those for shifts, minima and conversions do not: an H100 gains 4 to 9 % over the
-    // minimum of both planes, and 1 to 5 % over shifts.
     uvec3 near = planes * r.near_scale, far = planes * r.far_scale;
 #endif
     ivec3 enter = floatBitsToInt(vec3(near) * r.inv_dir - r.near_offset);
     ivec3 leave = floatBitsToInt(vec3(far) * r.inv_dir - r.far_offset);
+#else
+    ivec3 t0 = floatBitsToInt(vec3(planes & 0xFFFFu) * r.inv_dir - r.near_offset);
+    ivec3 t1 = floatBitsToInt(vec3(planes >> 16u) * r.inv_dir - r.far_offset);
+    ivec3 enter = min(t0, t1), leave = max(t0, t1);
+#endif
     return ivec2(max(max(enter.x, enter.y), max(enter.z, floatBitsToInt(t_min))),
                  min(min(leave.x, leave.y), min(leave.z, floatBitsToInt(t_max))));
 }
@@ -246,14 +258,15 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
             }
             do {
 #endif
-            int turns = 0;
-            WHILE ((UNBOUNDED || turns < BVH_INNER_STEPS) && (cur & LEAF) == 0u) {
-                // One child on the stack, the other next; none: the stack's top. The near one is next for the closest hit. For
-                // any hit the far one: what is near is the neighbourhood that the ray leaves, and seldom blocks it; up to a
-                // third fewer steps.
+            // One child on the stack, the other next; none: the stack's top. The near one is next for the closest hit. For any
+            // hit the far one: what is near is the neighbourhood that the ray leaves, and seldom blocks it; up to a third fewer
+            // steps.
 #if USE_BRANCHLESS
-                turn(cur, sp, local, ray.t_min, t_max, closest, true);
+            int turns = 0;
+            do turn(cur, sp, local, ray.t_min, t_max, closest, true);
+            while ((UNBOUNDED || ++turns < BVH_INNER_STEPS) && (cur & LEAF) == 0u);
 #else
+            for (int i = 0; (UNBOUNDED || i < BVH_INNER_STEPS) && (cur & LEAF) == 0u; i++) {
                 uvec4 a = texelFetch(nodes, int(cur) * 2), b = texelFetch(nodes, int(cur) * 2 + 1);
                 ivec2 in_a = box_span(a.xyz, local, ray.t_min, t_max), in_b = box_span(b.xyz, local, ray.t_min, t_max);
                 bool meets_a = in_a.x <= in_a.y, meets_b = in_b.x <= in_b.y;
@@ -264,10 +277,8 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
 #if USE_STEP_COUNTER
                 step_count++;
 #endif
-#endif
-                turns++;
             }
-            END_WHILE ((UNBOUNDED || turns < BVH_INNER_STEPS) && (cur & LEAF) == 0u)
+#endif
             if ((cur & LEAF) == 0u || cur >= (TWO_LEVEL && BRANCHLESS ? REF_RETURN : REF_END)) continue;
 #if USE_TWO_LEVEL && !USE_BRANCHLESS
             if (cur == REF_RETURN) {

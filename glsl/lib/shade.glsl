@@ -35,12 +35,11 @@ vec3 disc_visibility(Point p, LightSample l, uint light) {
     uvec3 x = floatBitsToUint(p.position);
     uvec2 start = sequence_start(ivec2(pcg(x.x ^ pcg(x.y)), pcg(x.z)), light, frame.seed);
     vec3 sum = vec3(0.0);
-    int i = 0;
-    do {
+    FOR_SOME(int, i, 0, disc_rays) {
         float cos_axis;
         LightSample to = toward_disc(l, light_row(light), sequence_point(start, frame.number * uint(disc_rays) + uint(i)), cos_axis);
         if (dot(p.n_geo, to.dir) > 0.0) sum += any_hit(Ray(ray_origin(p, to.dir), 0.0, to.dir, to.distance));
-    } while (++i < disc_rays);
+    } END_FOR(i, disc_rays)
     return sum / float(disc_rays);
 }
 #endif
@@ -67,8 +66,7 @@ vec3 visibility_from(Surface s, LightSample sample_ws, uint light) {
 // Direct light of all lamps, each with its own shadow.
 vec3 direct_light(Surface s, vec3 v) {
     vec3 sum = vec3(0.0);
-    uint i = 0u;
-    if (i < frame.light_count) do {
+    FOR_EACH(uint, i, 0u, frame.light_count) {
         LightSample l = light_at(light_row(i), s.point.position);
         if (arrives(l) && faces(s, l.dir)) {
             vec3 f = bsdf_eval(s.bsdf, v, l.dir) * l.irradiance;
@@ -77,7 +75,7 @@ vec3 direct_light(Surface s, vec3 v) {
 #endif
             sum += f;
         }
-    } while (++i < frame.light_count);
+    } END_FOR(i, frame.light_count)
     return sum;
 }
 
@@ -134,11 +132,10 @@ vec3 indirect_light(Surface s, vec3 v, vec3 mirror_dir, vec3 traced, bool has_tr
 uint lit_bits(Hit hit, Ray ray) {
     uint lit = 0u;
     Point p = point_at(hit, ray);
-    uint i = 0u;
-    if (i < frame.light_count) do {
+    FOR_EACH(uint, i, 0u, frame.light_count) {
         LightSample l = light_at(light_row(i), p.position);
         if (arrives(l) && dot(p.n_geo, l.dir) > 0.0) lit |= visibility_of(p, l, i).x > 0.0 ? 1u << i : 0u;
-    } while (++i < frame.light_count);
+    } END_FOR(i, frame.light_count)
     return lit;
 }
 #else
@@ -152,11 +149,10 @@ vec3 shade_hit(Hit hit, Ray ray, float footprint, uint lit) {
     if (s.unlit) return s.emissive;
     vec3 sum = s.emissive;
 #if USE_SHADOW_BITS
-    uint i = 0u;
-    if (i < frame.light_count) do {
+    FOR_EACH(uint, i, 0u, frame.light_count) {
         LightSample l = light_at(light_row(i), s.point.position);
         if ((lit >> i & 1u) == 1u && faces(s, l.dir)) sum += bsdf_eval(s.bsdf, v, l.dir) * l.irradiance;
-    } while (++i < frame.light_count);
+    } END_FOR(i, frame.light_count)
 #else
     sum += direct_light(s, v);
 #endif

@@ -22,8 +22,7 @@ void send_shadow_rays(ivec2 px, Pixel p) {
     Point from = point_at(p.hit, p.ray);
     bool unlit = material_row(hit_group_of(p.hit.instance, p.hit.geometry).material).unlit == 1u;
 #endif
-    uint i = frame.light_first;
-    do {                                                                   // lights there are: else this pass does not run
+    FOR_SOME(uint, i, frame.light_first, frame.light_end) {                // else this pass does not run
         LightSample l = light_at(light_row(i), from.position);
         vec3 visibility = vec3(0.0);
 #if USE_TERMINATOR
@@ -32,5 +31,5 @@ void send_shadow_rays(ivec2 px, Pixel p) {
         if (arrives(l) && dot(from.n_geo, l.dir) > 0.0 && !unlit) visibility = any_hit(Ray(ray_origin(from, l.dir), 0.0, l.dir, l.distance));
 #endif
         imageStore(out_visibility, ivec3(px, i), vec4(visibility, 1.0));
-    } while (++i < frame.light_end);
+    } END_FOR(i, frame.light_end)
 }

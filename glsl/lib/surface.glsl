@@ -107,7 +107,7 @@ Surface surface_at(Hit hit, Ray ray, float footprint) {
     vec3 normal_xyz = vec3(0.5, 0.5, 1.0), coat_normal_xyz = normal_xyz;
     // One call for all slots that this material fills: its code is large, and inlined wherever it is called.
     uint rest = m.texture_slots & uint(TEXTURE_SLOTS);
-    if (rest != 0u) do {
+    if (rest != 0u) WHILE (rest != 0u) {
         uint k = uint(findLSB(rest));
         bool srgb = k == SLOT_BASE_COLOR || k == SLOT_EMISSIVE || k == SLOT_SPECULAR_COLOR;
         vec4 c = sample_texture(material_row(group.material).texture[k], a.uv0, a.uv1, log2_area, srgb);
@@ -123,7 +123,7 @@ Surface surface_at(Hit hit, Ray ray, float footprint) {
         if (HAS_SLOT(SLOT_CLEARCOAT_NORMAL) && k == SLOT_CLEARCOAT_NORMAL) coat_normal_xyz = c.xyz;
         if (HAS_SLOT(SLOT_TRANSMISSION) && k == SLOT_TRANSMISSION) s.bsdf.transmission *= c.r;
         rest &= rest - 1u;
-    } while (rest != 0u);
+    } END_WHILE (rest != 0u)
 #if USE_NORMAL_MAP
     const uint normal_slots = 1u << SLOT_NORMAL | 1u << SLOT_CLEARCOAT_NORMAL;
     if (!sphere && (m.texture_slots & normal_slots) != 0u) {

@@ -3,6 +3,7 @@
 // filtering are done here. Chosen over hardware samplers: those need one unit an image (16 to 32 in all), blend with
 // 8-bit weights, and differ by driver; these do not. Rejected too: bindless handles, which Mesa's llvmpipe lacks.
 #include "lib/geometry.glsl"
+#include "lib/loop.glsl"
 
 // Is any material's slot k filled? The code of empty ones goes.
 #define HAS_SLOT(k) ((uint(TEXTURE_SLOTS) >> (k) & 1u) == 1u)
@@ -46,8 +47,7 @@ vec4 sample_texture(int index, vec2 uv0, vec2 uv1, float log2_area, bool srgb) {
     float between = fract(lod);
     int taps = between > 0.0 ? 8 : 4;
     vec4 sum = vec4(0.0);
-    int k = 0;
-    do {
+    FOR_SOME(int, k, 0, taps) {
         uvec4 level = texture_level_row(tex.first_level + uint(lod) + uint(k >> 2));
         ivec2 size = ivec2(level.z & 0xFFFFu, level.z >> 16u);
         vec2 p = uv * vec2(size) - (nearest ? 0.0 : 0.5), whole = floor(p);
@@ -58,7 +58,7 @@ vec4 sample_texture(int index, vec2 uv0, vec2 uv1, float log2_area, bool srgb) {
         vec4 c = texelFetch(texture_pages, ivec3(at, int(level.w)), 0);
         if (srgb) c.rgb = srgb_to_linear(c.rgb);
         sum += c * (w.x * w.y * (k < 4 ? 1.0 - between : between));
-    } while (++k < taps);
+    } END_FOR(k, taps)
     return sum;
 }
 #endif

@@ -45,8 +45,7 @@ vec3 surface_radiance(Pixel p, Surface s, vec3 traced, ivec2 px) {
 #endif
     vec3 v = -p.ray.dir;
     vec3 sum = s.emissive;
-    uint i = 0u;
-    if (i < frame.light_count) do {
+    FOR_EACH(uint, i, 0u, frame.light_count) {
         LightSample l = light_at(light_row(i), s.point.position);
         vec3 light = bsdf_eval(s.bsdf, v, l.dir) * l.irradiance;
 #if USE_VISIBILITY
@@ -54,7 +53,7 @@ vec3 surface_radiance(Pixel p, Surface s, vec3 traced, ivec2 px) {
         light *= BLENDED ? vis.rgb : vis.rrr;
 #endif
         sum += arrives(l) && faces(s, l.dir) ? light : vec3(0.0);
-    } while (++i < frame.light_count);
+    } END_FOR(i, frame.light_count)
     bool bent;
     vec3 r = mirror_direction(s, v, bent);
 #if USE_GLOSSY

@@ -72,8 +72,7 @@ void main() {
     uvec2 sky_start = sequence_start(px, SKY_SEQUENCE + uint(GLOSSY_COAT), frame.seed);
     uvec2 texel_start = sequence_start(px, SKY_SEQUENCE + 2u + uint(GLOSSY_COAT), frame.seed);
 #endif
-    int i = ray_first;
-    if (i < end) do {
+    FOR_EACH(int, i, ray_first, end) {
         Drawn d = draw_ray(a, px, i);
         bent = d.bent;
         float sky = 1.0, distance = INFINITY;
@@ -105,6 +104,6 @@ void main() {
             seen *= d.weight;
         }
         gather(g, px, i, d, distance, seen, beside);
-    } while (++i < end);
+    } END_FOR(i, end)
     store_rays(px, a, g, bent, ray_first, end);
 }

@@ -21,8 +21,7 @@ vec2 open_share(Surface s, ivec2 px) {
     uvec2 start = sequence_start(px, AO_SEQUENCE, frame.seed);
     mat3 frame_n = basis(s.bsdf.n);
     float open = 0.0, asked = 0.0, nearness = 0.0, met = 0.0;
-    int i = ray_first;
-    if (i < ray_end) do {
+    FOR_EACH(int, i, ray_first, ray_end) {
         vec2 xi = sequence_point(start, frame.number * uint(rays) + uint(i));
         float r = sqrt(xi.x), phi = 2.0 * PI * xi.y;
         vec3 dir = frame_n * vec3(r * cos(phi), r * sin(phi), sqrt(max(0.0, 1.0 - xi.x)));
@@ -35,7 +34,7 @@ vec2 open_share(Surface s, ivec2 px) {
             nearness += 1.0 / max(distance, 1e-30);
             met += 1.0;
         }
-    } while (++i < ray_end);
+    } END_FOR(i, ray_end)
     return vec2(asked > 0.0 ? open / asked : 1.0, nearness > 0.0 ? met / nearness : ao_radius);
 }
 

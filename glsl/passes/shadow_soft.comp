@@ -16,8 +16,7 @@ vec4 disc_rays_from(Point from, Surface s, LightSample l, uint light, ivec2 px, 
     float size = light_row(light).kind == LIGHT_DIRECTIONAL ? light_row(light).size : light_row(light).size / l.distance;
     vec3 sum = vec3(0.0);
     float weights = 0.0, width = 0.0, blocked = 0.0;
-    uint i = first;
-    do {
+    FOR_SOME(uint, i, first, end) {
         float cos_axis, distance = INFINITY;
         LightSample to = toward_disc(l, light_row(light), sequence_point(start, frame.number * uint(rays) + i), cos_axis);
         // Lobes of base and coat share one visibility; where the light is behind one normal the other weighs.
@@ -30,7 +29,7 @@ vec4 disc_rays_from(Point from, Surface s, LightSample l, uint light, ivec2 px, 
             width += distance * size;
             blocked += 1.0;
         }
-    } while (++i < end);
+    } END_FOR(i, end)
     return vec4(weights > 0.0 ? sum / weights : vec3(0.0), blocked > 0.0 ? min(width / blocked, 1e15) : 0.0);
 }
 
@@ -44,8 +43,7 @@ void main() {
         s = load_surface(p);
         from = shadow_point(p, s);
     }
-    uint i = frame.light_first;
-    do {
+    FOR_SOME(uint, i, frame.light_first, frame.light_end) {
         bool disc = light_row(i).size > 0.0;
         uint first = uint(ray_first), end = disc ? uint(ray_end) : 1u;
         if (first >= end) continue;
@@ -64,5 +62,5 @@ void main() {
             else result.a = max(before.a, result.a);
         }
         imageStore(out_visibility, ivec3(px, i), result);
-    } while (++i < frame.light_end);
+    } END_FOR(i, frame.light_end)
 }

@@ -139,7 +139,7 @@ def test_a_killed_study_goes_on(tmp_path: Path) -> None:
         time.sleep(0.02)
     running.kill()
     assert running.wait() == -signal.SIGKILL
-    kept = {path: path.read_bytes() for path in folder.glob("*.json")}
+    kept = {path: path.read_bytes() for path in folder.glob("*.json") if ".part" not in path.name}
     assert 3 <= len(kept) < 7
     options = {"quick": True, "sizes": ((48, 36),), "samples": 4, "only": ("map", "ray", "env"), "parts": ()}
     environment_now = pytest.MonkeyPatch()
@@ -148,7 +148,8 @@ def test_a_killed_study_goes_on(tmp_path: Path) -> None:
     study = run.run((str(scene),), tmp_path / "out", **options)  # type: ignore[arg-type]
     environment_now.undo()
     assert all(path.read_bytes() == data for path, data in kept.items())
-    assert len(list(folder.glob("*.json"))) == len(study.rows) + 1 > len(kept)
+    made = [path for path in folder.glob("*.json") if ".part" not in path.name]  # the kill may have left one of these
+    assert len(made) == len(study.rows) + 1 > len(kept)
 
 
 POST = """

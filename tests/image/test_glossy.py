@@ -211,5 +211,7 @@ def test_programs_apart_make_the_same_picture(renderer: "Renderer", denoise: boo
         draw(renderer, world, 3, size=SIZE, kernels=kernels, parameters={"denoise": denoise})["radiance"]
         for kernels in ("fused", "split")
     )
-    assert np.abs(split - fused).max() < (1e-2 if denoise else 1e-5) * fused.mean()
+    # A GPU's compiler contracts sums in each program as it pleases; a filter may then take another neighbour for the same.
+    rounding = 1e-5 if renderer.context.device.software else 1e-4
+    assert np.abs(split - fused).max() < (1e-2 if denoise else rounding) * fused.mean()
     assert np.abs(split - fused).mean() < 1e-5 * fused.mean()
