@@ -18,18 +18,23 @@ class Composite:
     def __init__(self, shaders: Shaders, scene: GpuScene, features: Features, display: Display) -> None:
         self._shaders, self._scene, self._features, self._display = shaders, scene, features, display
         self._programs: dict[bool, Program] = {}  # by whether it encodes too
+        self._program(features.encodes and display.given)
+
+    def _program(self, encodes: bool) -> Program:
+        if encodes not in self._programs:
+            self._programs[encodes] = self._shaders.compute("composite", self._features.replace(encodes=encodes))
+        return self._programs[encodes]
 
     def run(self, targets: Targets, ids: Any, visibility: Any, indirect: Mapping[str, Any]) -> Any:
         """indirect: images by channel: the sky's occlusion, reflections, one a lobe if these are apart."""
         radiance, encodes = targets.get("radiance"), self._features.encodes and self._display.given
-        if encodes not in self._programs:
-            self._programs[encodes] = self._shaders.compute("composite", self._features.replace(encodes=encodes))
+        program = self._program(encodes)
         resources = {**self._scene.resources, **indirect, "gbuffer_id": ids, "radiance": radiance}
         if visibility is not None:
             resources["visibility"] = visibility
         if encodes:
             resources |= self._display.resources(targets)
-        self._programs[encodes].dispatch(resources, targets.size)
+        program.dispatch(resources, targets.size)
         if encodes:
             self._display.encoded(radiance)
         return radiance

@@ -130,7 +130,7 @@ class Picture:
         if self.staged is None or self._radiance is None or not self.staged.holds(self._into):
             return None
         if self._into is not self.staged.targets or not self.done:  # another is begun: what was shown last stays
-            return self._shown[-1] if self._shown else None
+            return self.display
         staged, settings = self.staged, self._wanted[1] if self._wanted else self.staged.settings
         key = self._into, self.done, settings.exposure, settings.tone, exposure_ev
         if self._shown is None or self._shown[:-1] != key:
@@ -154,8 +154,9 @@ class Picture:
 
     @property
     def display(self) -> Any:
-        """The image that show() gave last, None before."""
-        return self._shown[-1] if self._shown else None
+        """The image that show() gave last, None before and where it was freed since."""
+        there = self._shown is not None and self.staged is not None and self.staged.holds(self._shown[0])
+        return self._shown[-1] if self._shown is not None and there else None
 
     @property
     def image(self) -> Any:
@@ -228,10 +229,9 @@ class Picture:
 
     def filter(self, exact: bool) -> None:
         """How the picture is drawn: texel by pixel, or smoothly where it is enlarged."""
-        if self._shown is not None:
-            kind = moderngl.NEAREST if exact else moderngl.LINEAR
-            if self._shown[-1].filter != (kind, kind):
-                self._shown[-1].filter = (kind, kind)
+        image, kind = self.display, moderngl.NEAREST if exact else moderngl.LINEAR
+        if image is not None and image.filter != (kind, kind):
+            image.filter = (kind, kind)
 
     def drop(self) -> None:
         """Frees the staging."""
