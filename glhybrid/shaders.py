@@ -332,6 +332,7 @@ class Shaders:
             tell()
             self._aside = self._aside or CompileAside(self._context.raw)
             aside_s = self._aside.run(stages, tell) if self._aside.worth else 0.0
+            self._context.bindings.forget()  # who is told may draw
         start = time.perf_counter()
         unread = [buffer for buffer, feature in _OPTIONAL.items() if not named.get(feature)]
         try:
