@@ -4,6 +4,7 @@ Loaders refuse or mend what files hold; this is for what comes through the API, 
 """
 
 import math
+import operator
 from collections.abc import Callable, Iterable
 from typing import Any, get_args
 
@@ -124,6 +125,15 @@ def _check_sky(name: str, sky: Environment) -> None:
             f"{name}: environment: texel ({row}, {column}) = {sky.radiance[row, column].tolist()}: must be from 0 to "
             f"{BRIGHTEST:g}: mend the image, such as with numpy.nan_to_num"
         )
+
+
+def check_size(size: tuple[int, int]) -> None:
+    """Raises SettingError unless it is two whole numbers; how large they may be is the device's to say (targets.py)."""
+    try:
+        width, height = size
+        operator.index(width), operator.index(height)
+    except (TypeError, ValueError):
+        raise SettingError(f"size = {size!r}: must be two whole numbers of pixels, such as (1280, 720)") from None
 
 
 def check_camera(camera: Camera) -> None:

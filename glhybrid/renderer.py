@@ -128,6 +128,7 @@ class Renderer:
         Another size changes images alone. So do other lights and another turn of the environment change only numbers:
         a scene that differs from a staged one in these (Scene.replace) is not staged anew.
         """
+        checks.check_size(size)
         if scene is not self._checked():
             checks.check_scene(scene)
             self._checked = weakref.ref(scene)

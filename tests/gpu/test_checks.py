@@ -106,6 +106,12 @@ def test_numbers_that_are_none(context: "Context", renderer: gh.Renderer, what: 
     refused(renderer, bad, 0, what, list(changes)[-1].replace("radiance", ""))
 
 
+@pytest.mark.parametrize("size", [(3.5, 2), ("a", 2), (5,), None, "64x48", (1, 2, 3)])
+def test_sizes(renderer: gh.Renderer, size: Any) -> None:
+    with pytest.raises(SettingError, match="two whole numbers"):
+        renderer.render(made(), 0, size, SETTINGS)
+
+
 def test_shapes_and_probes(context: "Context", renderer: gh.Renderer) -> None:
     scene = made()
     refused(renderer, scene.replace(meshes=(Mesh("ball", (Sphere(-1.0),)),)), 0, '"ball"', "radius")
