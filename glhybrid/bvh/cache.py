@@ -14,8 +14,9 @@ import struct
 import tempfile
 import time
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -67,9 +68,16 @@ def load_or_build(
 
 
 def _each(function: Callable[[memoryview], Any], arrays: Iterable[np.ndarray], threads: int) -> list[Any]:
-    """function of every 4 MiB of the arrays' bytes, in order; hashing leaves the GIL, so threads help."""
+    """function of every 4 MiB of the arrays' bytes, in order; reading and hashing leave the GIL, so threads help."""
+    return _map(function, _chunks(arrays), threads)
+
+
+def _chunks(arrays: Iterable[np.ndarray]) -> list[memoryview]:
     views = [a.data.cast("B") for a in arrays if a.size]
-    chunks = [view[i : i + CHUNK] for view in views for i in range(0, len(view), CHUNK)]
+    return [view[i : i + CHUNK] for view in views for i in range(0, len(view), CHUNK)]
+
+
+def _map(function: Callable[[Any], Any], chunks: Sequence[Any], threads: int) -> list[Any]:
     if threads == 1 or len(chunks) < 4:
         return [function(chunk) for chunk in chunks]
     with ThreadPoolExecutor(threads) as pool:
@@ -77,14 +85,13 @@ def _each(function: Callable[[memoryview], Any], arrays: Iterable[np.ndarray], t
 
 
 def content_key(arrays: Iterable[np.ndarray | None], parameters: dict[str, Any], threads: int = 1) -> str:
-    """BLAKE2b of shapes, parameters, versions and of the digests of every 4 MiB of the arrays."""
+    """SHA-256 of shapes, parameters, versions and of the digests of every 4 MiB of the arrays: 1.7 times as fast as
+    BLAKE2b where processors have instructions for it."""
     present = [None if a is None else np.ascontiguousarray(a) for a in arrays]
     shapes = [None if a is None else [a.dtype.str, *a.shape] for a in present]
-    digests = _each(
-        lambda chunk: hashlib.blake2b(chunk, digest_size=20).digest(), [a for a in present if a is not None], threads
-    )
+    digests = _each(lambda chunk: hashlib.sha256(chunk).digest(), [a for a in present if a is not None], threads)
     about = json.dumps([VERSION, shapes, parameters], sort_keys=True).encode()
-    return hashlib.blake2b(about + b"".join(digests), digest_size=20).hexdigest()
+    return hashlib.sha256(about + b"".join(digests)).hexdigest()[:40]
 
 
 def read(path: Path, key: str, started: float, threads: int = 1) -> Blas | None:
@@ -102,11 +109,11 @@ def read(path: Path, key: str, started: float, threads: int = 1) -> Blas | None:
             if os.fstat(file.fileno()).st_size != file.tell() + 4 * (8 * rows[0] + 12 * rows[1]):
                 return None
             nodes, slots = np.empty((rows[0], 8), np.uint32), np.empty((rows[1], 12), np.uint32)
-            for array in (nodes, slots):
-                if file.readinto(array.data.cast("B")) != array.nbytes:
-                    return None
-        if _each(zlib.crc32, (nodes, slots), threads) != header["crc32"]:
-            return None
+            chunks = _chunks((nodes, slots))
+            starts = accumulate((len(chunk) for chunk in chunks), initial=file.tell())
+            places = list(zip(chunks, starts, strict=False))
+            if _map(lambda place: _fetch(file.fileno(), *place), places, threads) != header["crc32"]:
+                return None
         blas = Blas(
             nodes=nodes,
             slots=slots,
@@ -122,6 +129,14 @@ def read(path: Path, key: str, started: float, threads: int = 1) -> Blas | None:
     with contextlib.suppress(OSError):
         os.utime(path)  # the oldest go first
     return blas
+
+
+def _fetch(descriptor: int, chunk: memoryview, start: int) -> int | None:
+    """Fills the chunk from that place of a file. Returns the CRC-32 of what came; None if less came.
+
+    Read where it is checked, so that the bytes are still in the processor's cache.
+    """
+    return zlib.crc32(chunk) if os.preadv(descriptor, [chunk], start) == len(chunk) else None
 
 
 def write(path: Path, key: str, blas: Blas, threads: int = 1) -> None:
