@@ -109,6 +109,15 @@ def rows(boxes: F64, lights: tuple[Light, ...], view: View, fit: Fit, across: in
     return out, lights_out
 
 
+def following(lights: tuple[Light, ...], rows: Any, count: int) -> Any:
+    """(count,) bool: maps that a camera's motion changes, all cascades but the last. rows: of ShadowLight."""
+    out = np.zeros(count, bool)
+    for light, row in zip(lights, rows, strict=False):
+        if light.kind == "directional":
+            out[row["first_map"] : row["first_map"] + row["map_count"] - 1] = True
+    return out
+
+
 def _corners(boxes: F64) -> F64:
     """(..., 8, 3) corners of (..., 2, 3) boxes."""
     pick = np.array([(i >> 2 & 1, i >> 1 & 1, i & 1) for i in range(8)])

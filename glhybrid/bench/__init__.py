@@ -30,6 +30,7 @@ SAME_T = 1e-5  # relative: one tree, one arithmetic
 SAME_PLACE = 1e-3  # relative: vertices rounded otherwise, so that grazing rays meet the surface elsewhere
 ROUNDING = 4 * 2.0**-24  # of the largest coordinate: what float32 cannot tell
 OTHER_ROUNDING = 1e-4  # share of rays that may differ where vertices are rounded otherwise, or edges are not watertight
+PEERS = ("embree", "mitsuba")
 FEW = 4  # rays that make no share
 Works = dict[tuple[str, Any], tuple[Callable[[], None], Callable[[], NDArray[Any]]]]
 
@@ -194,7 +195,9 @@ class _Bench:
                 )
 
     def _rows(self, name: str, scene: Scene, tracer: Tracer, samples: dict[tuple[str, Any], Sample]) -> None:
-        per_core = {c: _rate(tracer, c, s.median("cpu")) for (c, who), s in samples.items() if who == "embree"}
+        per_core = {
+            key: _rate(tracer, key[0], s.median("cpu")) for key, s in samples.items() if isinstance(key[1], str)
+        }
         cores = clock.cores(self.context)
         for (c, who), sample in samples.items():
             ours = isinstance(who, Variant)
@@ -204,7 +207,8 @@ class _Bench:
                 name, scene.triangle_count(), c, str(who), len(tracer.rays[c]), kind, rate, sample.spread(kind),
                 wall_ms=sample.median("wall"), cpu_ms=sample.median("cpu"),
                 gpu_ms=sample.median("gpu") if sample.gpu else None,
-                ratio_embree_per_core=rate / per_core[c] if c in per_core else None,
+                ratio_embree_per_core=rate / per_core[c, "embree"] if (c, "embree") in per_core else None,
+                ratio_mitsuba_per_core=rate / per_core[c, "mitsuba"] if (c, "mitsuba") in per_core else None,
                 own=who == tracer.own, peer=not ours,
             )  # fmt: skip
             if kind == "wall" and not self.software:

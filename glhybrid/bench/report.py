@@ -19,7 +19,7 @@ class Row:
     """One class of rays of one scene, followed by one variant of the tracer or by a peer.
 
     mrays_s: live rays; a GPU's by its timer, a software rasteriser's by CPU time on all its cores, a peer's by a CPU
-    second. ratio: ours to Embree on one core; for a GPU its rate to Embree's of one core. Times: medians, ms a launch.
+    second. ratios: ours to that peer on one core; a GPU's rate to theirs of one core. Times: medians, ms a launch.
     """
 
     scene: str
@@ -34,6 +34,7 @@ class Row:
     cpu_ms: float
     gpu_ms: float | None
     ratio_embree_per_core: float | None = None
+    ratio_mitsuba_per_core: float | None = None
     steps_per_ray: float | None = None
     own: bool = False  # the variant that the renderer uses
     peer: bool = False
@@ -46,7 +47,7 @@ class Row:
         """How the rate came about: one entry of machine.measurements."""
         keys = (
             "scene", "triangles", "rays", "variant", "live", "clock", "spread", "wall_ms", "cpu_ms", "gpu_ms",
-            "steps_per_ray",
+            "steps_per_ray", "ratio_mitsuba_per_core",
         )  # fmt: skip
         return {key: getattr(self, key) for key in keys}
 
@@ -149,7 +150,7 @@ def show(report: Report) -> None:
     print(f"rates: million live rays a second by {m['clock']}, median of {m['repeats']}, +- half the quartile distance")
     if any(row.peer for row in report.rows):
         print(
-            "embree and mitsuba: a CPU second of one core; ratios: ours to Embree, each by "
+            "embree and mitsuba: a CPU second of one core; ratios: to each of them, by "
             + _RATIO[m["device"]["software"]]
         )
     for note in report.notes:
@@ -160,19 +161,26 @@ def _show_rays(rows: Sequence[Row]) -> None:
     groups: dict[tuple[str, int, str], dict[str, Row]] = {}
     for row in rows:
         groups.setdefault((row.scene, row.triangles, row.variant), {})[row.rays] = row
-    ratios = any(row.ratio_embree_per_core is not None for row in rows)
+    peers = {
+        f"to {name.capitalize()} a core": f"ratio_{name}_per_core"
+        for name in ("embree", "mitsuba")
+        if any(getattr(row, f"ratio_{name}_per_core") is not None for row in rows)
+    }
+    timed = any(row.gpu_ms is not None for row in rows)
     lines = []
     for (scene, triangles, variant), found in groups.items():
         first = next(iter(found.values()))
         line: list[object] = [scene, triangles, f"{variant} *" if first.own else variant]
         line += [_rate(found[name]) if name in found else "" for name in CLASSES]
-        if ratios:
-            values = [found[c].ratio_embree_per_core if c in found else None for c in CLASSES]
+        for ratio in peers.values():
+            values = [getattr(found[c], ratio) if c in found else None for c in CLASSES]
             line.append(" ".join("-" if v is None else f"{v:.2f}" for v in values))
+        if timed:
+            line.append(" ".join(f"{found[c].gpu_ms or 0:.3f}/{found[c].wall_ms:.3f}" for c in CLASSES if c in found))
         lines.append(line)
     if lines:
         steps = [row.steps_per_ray for row in rows]
-        columns = ["scene", "triangles", "variant (* the renderer's)", *CLASSES, *["to Embree a core"] * ratios]
+        columns = ["scene", "triangles", "variant (* the renderer's)", *CLASSES, *peers, *["timer/wall ms"] * timed]
         if any(step is not None for step in steps):
             columns.append("steps a ray")
             for line, found in zip(lines, groups.values(), strict=True):

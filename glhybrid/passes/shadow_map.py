@@ -4,8 +4,8 @@ Techniques `map`, `pcf`, `pcss` and `csm` are one pass: they differ in the filte
 in where the maps look from (shadow_fit.py). Opaque surfaces and cut-outs cast, from both sides, as they block shadow
 rays; blended ones do not: a depth map knows no tint. Hits of reflection rays and blended layers use the same maps.
 
-All maps are tiles of one 32-bit float atlas. Those of cascades are drawn every frame, as a moving camera needs it;
-others once, and again when what they depend on has changed.
+All maps are tiles of one 32-bit float atlas. Those that follow the camera, cascades, are drawn every frame, as a moving
+one needs it, so that their time is that of motion; others once, and again when what they depend on has changed.
 """
 
 from typing import Any
@@ -38,8 +38,9 @@ class ShadowMap:
         self.channel = "visibility_tint" if features.blended else "visibility"
         self._fit = fit = shadow_fit.Fit.of(settings)
         self._owned: list[Any] = []
-        self._drawn = False
         self._maps: Any = None
+        self._tiles: Any = None  # (maps,) of the atlas
+        self._follow: Any = None  # (maps,) bool: those that move with the camera
         count = sum(shadow_fit.map_counts(scene.lights, fit))
         key = f"shadows.{settings.shadows}.resolution"
         self._across = shadow_fit.columns(count, fit.resolution, context.limits.texture_size, key)
@@ -49,6 +50,7 @@ class ShadowMap:
         atlas.repeat_x = atlas.repeat_y = False
         self._framebuffer = self._own(gl.framebuffer([], atlas))
         rows = shadow_fit.empty_rows(scene.lights, fit)
+        self._drawn = np.zeros_like(_bytes(rows[0]))  # by tile: the row of what is in it
         self.resources: dict[str, Any] = {
             "shadow_atlas": atlas, "ShadowMaps": self._own(gl.buffer(rows[0].tobytes())),
             "ShadowLights": self._own(gl.buffer(rows[1].tobytes())), "map_margin": fit.margin,
@@ -93,48 +95,53 @@ class ShadowMap:
         return 4 * atlas.width * atlas.height
 
     def look(self, view: View, moving: F64 | None = None) -> None:
-        """Fits the maps to a view. They are drawn with the next frame if that changes them.
+        """Fits the maps to a view. Those that this changes are drawn with the next frame.
 
         moving: (2, 3) world box of all that will ever be drawn, of a scene that moves: drawn after every look.
         """
         scene = self._scene.scene
         boxes = scene.instance_bounds if moving is None else moving[None]
         maps, lights = shadow_fit.rows(boxes, self._scene.lights, view, self._fit, self._across)
-        if moving is not None or self._maps is None or maps.tobytes() != self._maps.tobytes():
-            self._drawn = False
-        self._maps = maps
+        if moving is not None:
+            self._drawn[:] = 0
+        self._maps, self._follow = maps, shadow_fit.following(self._scene.lights, lights, len(maps))
+        self._tiles = maps["corner"] // self._fit.resolution @ (1, self._across)
         self.resources["ShadowMaps"].write(maps)
         self.resources["ShadowLights"].write(lights)
 
     def draw(self) -> None:
-        """Depth of every map into its tile."""
+        """Depth of every map whose tile does not hold it, or that follows the camera, into its tile."""
+        wanted = _bytes(self._maps)
+        due = np.flatnonzero(self._follow | (self._drawn[self._tiles] != wanted).any(1)).tolist()
+        if not due:
+            return
+        self._drawn[self._tiles] = wanted
         gl = self._context.gl
         self._framebuffer.use()
         if self._context.limits.clip_control:
             self._context.raw.set_depth_zero_to_one()
         self._framebuffer.depth_mask = True
-        self._framebuffer.viewport = (0, 0, *self._framebuffer.size)
-        self._context.raw.clear_depth()
         gl.enable_only(moderngl.DEPTH_TEST)
         gl.depth_func = ">"  # reversed
         resources = {**self._scene.resources, **self.resources}
-        for k, row in enumerate(self._maps):
-            size = int(row["size"])
-            self._framebuffer.viewport = (*row["corner"].tolist(), size, size)
+        for k in due:
+            size = int(self._maps[k]["size"])
+            tile = (*self._maps[k]["corner"].tolist(), size, size)
+            self._framebuffer.viewport = self._framebuffer.scissor = tile
+            self._context.raw.clear_depth()
             for program, vao, indirect, count in self._batches:
                 program.bind(resources | {"map_index": k})
                 if indirect is None:
                     vao.render(moderngl.TRIANGLES, draws.SPHERE_VERTICES, instances=count)
                 else:
                     vao.render_indirect(indirect, moderngl.TRIANGLES, count)
+        self._framebuffer.scissor = None
         gl.enable_only(moderngl.NOTHING)
         gl.memory_barrier()
-        self._drawn = True
 
     def run(self, targets: Targets, ids: Any, set_lights: Any) -> Any:
         """set_lights(first, end) says which lights the next dispatch is for."""
-        if not self._drawn or self._settings.shadows == "csm":
-            self.draw()
+        self.draw()
         count = len(self._scene.lights)
         visibility = targets.get(self.channel, layers=count)
         resources = {**self._scene.resources, **self.resources, "gbuffer_id": ids, "out_visibility": visibility}
@@ -151,6 +158,11 @@ class ShadowMap:
             owned.release()
         self._owned.clear()
         self.resources.clear()
+
+
+def _bytes(rows: Any) -> Any:
+    """(N, bytes) uint8 of (N,) structures, padding included."""
+    return rows.view((np.uint8, rows.itemsize))
 
 
 def uniforms(settings: Settings) -> dict[str, float | int]:

@@ -321,27 +321,36 @@ def test_only_what_is_asked_for_is_compiled_and_allocated(context: "Context") ->
 
 
 def test_maps_are_drawn_once_cascades_every_frame(context: "Context", monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only what follows the camera is drawn for it: not the sun's map of the whole scene, nor a lamp's."""
     from glhybrid.passes.shadow_map import ShadowMap
 
     drawn: list[int] = []
-    draw = ShadowMap.draw
+    make = ShadowMap._make_batches
 
-    def counted_draw(self: ShadowMap) -> None:
-        drawn.append(1)
-        draw(self)
+    class Counted:
+        def __init__(self, program: Any) -> None:
+            self._program = program
 
-    monkeypatch.setattr(ShadowMap, "draw", counted_draw)
+        def bind(self, resources: dict[str, Any]) -> None:
+            drawn.append(resources["map_index"])
+            self._program.bind(resources)
+
+    def counted(self: ShadowMap, *given: Any) -> Any:
+        (program, *first), *others = make(self, *given)  # triangles, spheres
+        return [(Counted(program), *first), *others]
+
+    monkeypatch.setattr(ShadowMap, "_make_batches", counted)
     scene, camera, _ = posts()
+    lamp = Light("point", position=(0.0, 3.0, 0.0), intensity=20.0)
+    both = scene.replace(lights=(*scene.lights, lamp))
+    elsewhere = Camera.look_at((9.01, 7.01, 13.01), (0, 0.3, 0), fov_y=0.75)  # of the same grid point
     with gh.Renderer(context=context) as renderer:
-        for technique, frames in (("map", 1), ("csm", 3)):
-            drawn.clear()
+        for technique, first, again in (("map", 7, 0), ("csm", 10, 3)):
             chosen = settings(technique, {"resolution": 256}).replace(aa=3)
-            renderer.render(scene, camera, (64, 48), chosen)
-            assert len(drawn) == frames, technique
-        drawn.clear()
-        renderer.render(scene, camera, (64, 48), settings("map", {"resolution": 256}))
-        renderer.render(scene, camera, (64, 48), settings("map", {"resolution": 256}))
-        assert len(drawn) == 1  # the second picture has nothing new
+            for expected, seen_by in ((first + 2 * again, camera), (3 * again, camera), (3 * again, elsewhere)):
+                drawn.clear()
+                renderer.render(both, seen_by, (64, 48), chosen)
+                assert len(drawn) == expected, (technique, drawn)
 
 
 @pytest.mark.parametrize("technique", ["map", "csm"])
