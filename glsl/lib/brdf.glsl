@@ -14,7 +14,7 @@ struct Bsdf {
     float f90_dielectric;
     float transmission;           // thin: this share of the diffuse light passes straight through
     float clearcoat, clearcoat_roughness;
-    vec3 n, n_coat;               // shading normals, towards the viewer
+    vec3 n, n_coat;               // shading normals; those of surface_at face the viewer
 };
 
 bool is_mirror(Bsdf b) { return b.roughness < MIRROR_ROUGHNESS; }

@@ -13,12 +13,11 @@ bool is_traced(Lobe lobe) { return lobe.roughness < frame.mirror_cutoff; }
 // Sky on the diffuse lobe, and both specular lobes: what reaches the viewer by way of other surfaces and the sky.
 vec3 glossy_light(Surface s, vec3 v, vec3 base, vec3 coat) {
     Bsdf b = s.bsdf;
-    vec3 result = vec3(0.0);
-    if (dot(b.n, v) > 0.0) result = diffuse_sky(s) + specular_albedo(b, v) * base;
+    vec3 result = diffuse_sky(s) + specular_albedo(b, v) * base;
     if (CLEARCOAT && b.clearcoat > 0.0) {
         float f = coat_fresnel(b, v);
         result *= 1.0 - f;
-        if (dot(b.n_coat, v) > 0.0) result += f * coat;
+        result += f * coat;
     }
     return result;
 }

@@ -34,7 +34,7 @@ Shine shine_of(Pixel p) {
     a.v = -p.ray.dir;
     a.lobe = GLOSSY_COAT ? coat_lobe(a.s.bsdf) : base_lobe(a.s.bsdf);
     a.albedo = GLOSSY_COAT ? vec3(a.s.bsdf.clearcoat) : specular_albedo(a.s.bsdf, a.v);
-    if (a.s.unlit || dot(a.lobe.n, a.v) <= 0.0 || max3(a.albedo) <= 0.0) return a;
+    if (a.s.unlit || max3(a.albedo) <= 0.0) return a;
     if (is_traced(a.lobe)) a.count = rays_of(a.lobe);
     else a.reason = REASON_ROUGH;
     return a;

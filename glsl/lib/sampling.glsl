@@ -33,13 +33,13 @@ vec3 bsdf_sample(Bsdf b, vec3 v, float choice, vec2 xi, out vec3 weight, out flo
     float under_coat = CLEARCOAT ? 1.0 - coat_fresnel(b, v) : 1.0;
     if (choice < p.coat) {
         if (b.clearcoat_roughness < MIRROR_ROUGHNESS) {
-            if (dot(b.n_coat, v) > 0.0) weight = vec3(coat_fresnel(b, v) / p.coat);
+            weight = vec3(coat_fresnel(b, v) / p.coat);
             return reflect(-v, b.n_coat);
         }
         l = reflect(-v, ggx_sample_vndf(b.n_coat, v, max(square(b.clearcoat_roughness), 4e-4), xi));
     } else if (choice < p.coat + p.specular) {
         if (is_mirror(b)) {
-            if (dot(b.n, v) > 0.0) weight = specular_fresnel(b, dot(b.n, v)) * under_coat / p.specular;
+            weight = specular_fresnel(b, dot(b.n, v)) * under_coat / p.specular;
             return reflect(-v, b.n);
         }
         l = reflect(-v, ggx_sample_vndf(b.n, v, b.alpha, xi));

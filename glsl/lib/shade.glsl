@@ -114,13 +114,12 @@ vec3 indirect_light(Surface s, vec3 v, vec3 mirror_dir, vec3 traced, bool has_tr
     specular = has_traced ? (is_mirror(b) ? traced : mix(traced, sky, b.roughness)) : sky;
     result += specular_albedo(b, v) * specular;
 #endif
-    if (dot(b.n, v) <= 0.0) result = vec3(0.0);                            // as bsdf_eval: no light from behind the normal
     if (CLEARCOAT && b.clearcoat > 0.0) {
         float f = coat_fresnel(b, v);
         result *= 1.0 - f;
 #if USE_SPECULAR_SKY || USE_REFLECTIONS || USE_PROBES
         vec3 coat_sky = SPECULAR_SKY || PROBES ? surroundings(s.point.position, mirror_dir, b.clearcoat_roughness) : vec3(0.0);
-        if (dot(b.n_coat, v) > 0.0) result += f * (has_traced ? mix(traced, coat_sky, b.clearcoat_roughness) : coat_sky);
+        result += f * (has_traced ? mix(traced, coat_sky, b.clearcoat_roughness) : coat_sky);
 #endif
     }
     return result;

@@ -40,6 +40,17 @@ Point point_at(Hit hit, Ray ray) {
     return p;
 }
 
+// An interpolated or mapped normal may face away from who sees the surface, along outlines above all. No such microsurface is
+// seen, and the BRDF would be black: the normal is turned towards the viewer v as far as the edge of what can be seen,
+// continuously. A facet nearly edge-on sets the limit, so that plain surfaces keep their own normal however flat the view
+// (the threshold of Cycles' ensure_valid_specular_reflection).
+const float LEAST_NOV = 1e-3;
+
+vec3 toward_viewer(vec3 n, vec3 v, vec3 n_geo) {
+    float below = clamp(0.9 * dot(n_geo, v), 1e-6, LEAST_NOV) - dot(n, v);
+    return below > 0.0 ? normalize(n + below * v) : n;
+}
+
 // ray: the one that found the hit. footprint: diameter in m of what it stands for, at the hit (0 = finest texture level).
 Surface surface_at(Hit hit, Ray ray, float footprint) {
     Surface s;
@@ -141,6 +152,8 @@ Surface surface_at(Hit hit, Ray ray, float footprint) {
     }
 #endif
 #endif
+    s.bsdf.n = toward_viewer(s.bsdf.n, to_viewer, s.point.n_geo);
+    s.bsdf.n_coat = toward_viewer(s.bsdf.n_coat, to_viewer, s.point.n_geo);
     s.bsdf.base_color = color.rgb;
     s.alpha = coverage(m, color.a);
     s.bsdf.metallic = metallic;

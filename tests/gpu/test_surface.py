@@ -192,7 +192,13 @@ def oracle(scene: Scene, tracer: Tracer, got: dict[str, F64], rays: Rays) -> dic
         sign = np.sign(mix(tangent)[:, 3:]) * (-1 if flipped else 1)
         b = np.cross(n_front, t) * sign
         c = texel(slot)[:, :3] * 2 - 1
-        return np.asarray(ray.unit(c[:, :1] * scale * t + c[:, 1:2] * scale * b + c[:, 2:] * n_front) * side)
+        return facing(ray.unit(c[:, :1] * scale * t + c[:, 1:2] * scale * b + c[:, 2:] * n_front) * side)
+
+    def facing(n: F64) -> F64:  # turned, where it faces away, to where N.V is 0.001 or 0.9 of the facet's
+        v = -ray.unit(rays.direction)
+        least = np.clip(0.9 * (n_geo * side * v).sum(1), 1e-6, 1e-3)
+        below = np.maximum(0, least - (n * v).sum(1))
+        return np.asarray(ray.unit(n + below[:, None] * v))
 
     color = np.array(m.base_color) * texel("base_color") * mix(p.color.astype(np.float16))
     return {
@@ -253,6 +259,7 @@ def test_every_attribute_of_a_hit(context: "Context", pose: str, levels: int) ->
             error = np.abs(got[name] - values).reshape(len(values), -1).max(1)[~graze]
             assert error.max() < 2e-4, (name, error.max(), np.argmax(error))
             assert np.median(error) < 5e-6, (name, np.median(error))
+        assert ((got["n"] * ray.unit(rays.direction)).sum(1) < 1e-6).all()
         assert np.allclose(np.linalg.norm(got["n"], axis=1), 1, atol=1e-5) and (got["alpha"] == 1).all()
         # The point is on its triangle's plane to within the offset that clears it, which is small.
         lift = np.abs(((got["position"] - want["position"]) * want["n_geo"]).sum(1))

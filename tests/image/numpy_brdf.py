@@ -85,6 +85,14 @@ def ggx(n: F64, v: F64, l: F64, h: F64, alpha: float) -> F64:  # noqa: E741
     return np.where((nl > 0) & (nv > 0), d * visible(nl) * visible(nv), 0)
 
 
+def toward_viewer(n: ArrayLike, v: ArrayLike, n_geo: ArrayLike) -> F64:
+    """Shading normals as the renderer takes them, (..., 3): those that face away from v are turned until N.V is 0.001 (to first
+    order), or nine tenths of the facet's own N.V where that is less; all others are kept. All unit, n_geo facing v."""
+    n, v = np.asarray(n, np.float64), np.asarray(v, np.float64)
+    below = np.clip(0.9 * dot(np.asarray(n_geo, np.float64), v), 1e-6, 1e-3) - dot(n, v)
+    return np.where(below[..., None] > 0, unit(n + below[..., None] * v), n)
+
+
 def specular_albedo(mu: float, alpha: float, order: int = 200) -> tuple[float, float]:
     """Directional albedo of the GGX lobe under Schlick Fresnel, as F0 * scale + F90 * bias, by quadrature.
 

@@ -121,3 +121,23 @@ def test_one_mirror_bounce_off_curves(renderer: "Renderer", oracle: "Oracle", tm
     """Curved mirrors, analytic and of triangles, coloured, with a constant sky that is theirs alone to show."""
     world = stage(metal((0.9, 0.6, 0.3), 0.0), wall=matte((0.2, 0.5, 0.9)))
     agree(renderer, oracle, world, "mirror", tmp_path, Settings(aa=1), mirrors=(1, 2, 3))
+
+
+def test_where_normals_face_away_mitsuba_is_dark(renderer: "Renderer", oracle: "Oracle") -> None:
+    """A coarse ball with smooth normals. Mitsuba takes them as they are and is black where they face away, in a dotted
+    line along the outline; glhybrid turns them to the edge and goes on from its neighbours. Elsewhere both agree."""
+    ball = ellipsoid(radii=(0.9, 0.9, 0.9), segments=10)
+    camera = Camera.look_at((0.3, 0.5, 3.0), (0, 0, 0), fov_y=np.radians(45))
+    world = scene([(ball, matte((0.2, 0.5, 0.9)))], camera=camera, lights=[sun((-0.3, -0.4, -3.0))])
+    frame = renderer.render(world, size=SIZE, settings=Settings(aa=1), aovs=DATA)
+    rays = camera_rays(world, SIZE)
+    want, _ = oracle.render(world, rays, max_depth=2, spp=2)
+    seen = frame["instance_id"] == 0
+    cos = -(frame["normal"].astype(np.float64) * rays.direction).sum(-1)
+    turned = seen & (cos < 0.0015)  # what is turned has N.V of 0.001 and a little more
+    lit = (frame["radiance"] > 0.01).any(-1)
+    error = relative(frame["radiance"], want)
+    print(f"turned {turned.sum()} of {seen.sum()}, of them dark: ours {(turned & ~lit).sum()}, "
+          f"Mitsuba {(turned & ~want.any(-1)).sum()}; elsewhere at most {error[seen & ~turned].max():.1e}")  # fmt: skip
+    assert turned.sum() > 60 and (error[seen & ~turned] < BARS["diffuse"].value).mean() >= BARS["good share"].value
+    assert not want[turned].any() and lit[turned].all()
