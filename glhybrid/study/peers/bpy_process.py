@@ -8,7 +8,7 @@ import numpy as np
 
 from glhybrid.study.peers import common
 
-NOTES = ["Principled BSDF: multiple scattering and its own Fresnel", "8 bounces; lamps are spheres of their radius"]
+NOTES = ["Principled BSDF: its own Fresnel and height-correlated Smith term", "8 bounces; lamps are spheres of their radius, spots' edges smooth steps"]
 
 
 def main(folder: str, out: str) -> None:
@@ -19,6 +19,7 @@ def main(folder: str, out: str) -> None:
     bpy.ops.import_scene.gltf(filepath=str(path))
     for material in bpy.data.materials:
         _shine_for_all_rays(material)
+        _scatter_once(material)
     scene = bpy.context.scene
     world_from_gltf = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], float)  # Blender is Z up
     _camera(bpy, scene, about, world_from_gltf)
@@ -48,6 +49,13 @@ def _shine_for_all_rays(material) -> None:  # type: ignore[no-untyped-def]
     if {"LIGHT_PATH", "EMISSION", "OUTPUT_MATERIAL"} <= nodes.keys():
         shine, out = nodes["EMISSION"].outputs[0], nodes["OUTPUT_MATERIAL"].inputs["Surface"]
         material.node_tree.links.new(shine, out)
+
+
+def _scatter_once(material) -> None:  # type: ignore[no-untyped-def]
+    """glTF's microfacets scatter once; Blender's, unless told so, several times, which makes rough metals brighter."""
+    for node in material.node_tree.nodes if material.use_nodes else ():
+        if node.type == "BSDF_PRINCIPLED":
+            node.distribution = "GGX"
 
 
 def _camera(bpy, scene, about, world_from_gltf) -> None:  # type: ignore[no-untyped-def]

@@ -38,6 +38,12 @@ def timed(draw: Callable[[], Any]) -> tuple[Any, float]:
     return result, float(np.median(times))
 
 
+def encoded(linear: Any) -> Any:
+    """sRGB of linear values, 0 to 1."""
+    x = np.clip(linear, 0, 1)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
 def bracketed(draw: Callable[[float], Any], mean: float) -> Any:
     """Radiance from a renderer of 8-bit sRGB. draw(gain) -> (H, W, 3) uint8 with all light times gain.
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from glhybrid.study.peers import common
 
+SHADOW_TEXELS = 2048  # as `map` has here
 NOTES = [
     "the sky is prefiltered and reflects without occlusion; height-correlated Smith term",
     "shadow maps; 8-bit pictures: radiance from three exposures, which unlit surfaces do not follow",
@@ -36,7 +37,8 @@ def main(folder: str, out: str) -> None:
         camera.transform = np.array(about["world_from_view"], np.float32)
         scene.antialiasing, scene.msaa, scene.dithering, scene.ssao, scene.bloom = "none", 1, False, False, False
         scene.tone_mapping, scene.shadows = "linear", True
-        scene.environment = renderer.create_environment(np.ascontiguousarray(sky, np.float32))
+        middle = np.roll(sky, sky.shape[1] // 2, 1)  # its middle column looks along +Z
+        scene.environment = renderer.create_environment(np.ascontiguousarray(middle, np.float32))
         scene.environment_visible, scene.environment_intensity = True, 1.0
         for light in about["lights"]:
             _light(scene, light, about["extent"])
@@ -54,15 +56,15 @@ def main(folder: str, out: str) -> None:
 
 def _light(scene: Any, light: dict[str, Any], extent: float) -> None:
     options = {"intensity": light["intensity"], "color": light["color"]}
+    placed = {"position": light["position"], "range": light["range"] or extent * 10}
     if light["kind"] == "directional":
-        scene.add_directional_light(direction=light["direction"], **options)
-        return
-    options |= {"position": light["position"], "range": light["range"] or extent * 10}
-    if light["kind"] == "point":
-        scene.add_point_light(**options)
-        return
-    cone = np.degrees([light["inner_cone"], light["outer_cone"]]).tolist()
-    scene.add_spot_light(direction=light["direction"], cone_deg=cone, **options)
+        lamp = scene.add_directional_light(direction=light["direction"], **options)
+    elif light["kind"] == "point":
+        lamp = scene.add_point_light(**options, **placed)
+    else:
+        cone = np.degrees([light["inner_cone"], light["outer_cone"]]).tolist()
+        lamp = scene.add_spot_light(direction=light["direction"], cone_deg=cone, **options, **placed)
+    lamp.casts_shadows, lamp.shadow_map_size = True, SHADOW_TEXELS
 
 
 if __name__ == "__main__":

@@ -8,9 +8,10 @@ import numpy as np
 from glhybrid.study.peers import common
 from glhybrid.study.peers.read_glb import Drawn, read
 
+MIRROR = 0.02  # roughness: below, an exact mirror
 NOTES = [
     "its principled BSDF: equal for metals, another dielectric (Disney diffuse, true Fresnel)",
-    "light between surfaces to 8 bounces; lamps without size",
+    "light between surfaces to 8 bounces; lamps without size, spots' edges linear; mirrors without Fresnel",
 ]
 
 
@@ -26,7 +27,9 @@ def main(folder: str, out: str) -> None:
     for i, light in enumerate(about["lights"]):
         objects[f"light{i}"] = _light(mi, light)
     if sky.any():
-        objects["sky"] = {"type": "envmap", "bitmap": mi.Bitmap(_rows_from_pole_to_pole(sky))}
+        # The first column of its sky, not the middle one, looks along -Z.
+        turn = mi.ScalarTransform4f().rotate([0, 1, 0], 180)
+        objects["sky"] = {"type": "envmap", "bitmap": mi.Bitmap(_rows_from_pole_to_pole(sky)), "to_world": turn}
     view = np.array(about["world_from_view"])
     view[:3, 0] *= -1  # Mitsuba's cameras look along +Z with +X to the left
     view[:3, 2] *= -1
@@ -69,6 +72,14 @@ def _mesh(mi: Any, name: str, drawn: Drawn) -> Any:
 def _bsdf(mi: Any, drawn: Drawn) -> dict[str, Any]:
     if drawn.unlit:  # shines with its colour: the emitter does it
         return {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
+    if drawn.metallic >= 1 and drawn.roughness < MIRROR and drawn.roughness_texture is None:
+        # principled has no exact mirror: it would show lamps without size, which next to no path finds otherwise
+        tint = mi.Bitmap(drawn.color_texture) if drawn.color_texture is not None else None
+        color = {"type": "rgb", "value": list(drawn.color)}
+        if tint is not None:
+            color = {"type": "bitmap", "bitmap": tint, "raw": True}
+        mirror = {"type": "conductor", "material": "none", "specular_reflectance": color}
+        return {"type": "twosided", "bsdf": mirror}
     bsdf: dict[str, Any] = {"type": "principled", "specular": 0.5}
     slots: tuple[tuple[str, Any, Any], ...] = (
         ("base_color", list(drawn.color), drawn.color_texture), ("roughness", drawn.roughness, drawn.roughness_texture),

@@ -9,9 +9,10 @@ import numpy as np
 from glhybrid.study.peers import common
 
 NOTES = [
-    "the sky is a constant ambient light: nothing is reflected",
+    "the sky is one colour, its mean, that lights all surfaces alike and is seen behind them: nothing is reflected",
     "shadow maps of fixed size for suns and spots; point lights cast none",
-    "8-bit pictures: radiance from three exposures",
+    "8-bit pictures: radiance from three exposures, which shining surfaces do not follow; emission is squared",
+    "roughness and metal of a texture from its red and green, not green and blue",
 ]
 
 
@@ -41,6 +42,7 @@ def main(folder: str, out: str) -> None:
 
     def draw(gain: float) -> np.ndarray:
         scene.ambient_light = ambient * gain
+        scene.bg_color = common.encoded(ambient * gain)
         for (lamp, _), light in zip(lamps, about["lights"], strict=True):
             lamp.intensity = light["intensity"] * gain
         return renderer.render(scene, flags=flags)[0]
