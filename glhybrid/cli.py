@@ -409,6 +409,9 @@ def study(
     camera: Annotated[str | None, Parameter(help="Name or index of a camera that all scenes have.")] = None,
     techniques: Annotated[str, Parameter(help="Only these, by name: map,csm,ray,ssr,...")] = "",
     samples: Annotated[int | None, Parameter(help="The most paths per pixel of the reference.")] = None,
+    reference_seconds: Annotated[
+        float | None, Parameter(help="The most time for each reference; 60 on a GPU, else no limit; --quick: 10, 30.")
+    ] = None,
     bounces: Annotated[int, Parameter(help="Bounces after the first hit in the reference; 8.")] = 8,
     allow_outside: Annotated[bool, Parameter(help="Let a scene use files outside its folder.")] = False,
     json: Annotated[bool, Parameter(help="Print results.json.")] = False,
@@ -429,8 +432,8 @@ def study(
         found = studies.run(
             scene, Path(output), quick=quick, paper=paper, device=device, sizes=sizes,
             camera=Common(camera=camera).camera_key(),
-            only=techniques.split(","), samples=samples, bounces=bounces, command=_command(), load=common.load,
-            progress=progress, lines=show and not sys.stderr.isatty(),
+            only=techniques.split(","), samples=samples, seconds=reference_seconds, bounces=bounces,
+            command=_command(), load=common.load, progress=progress, lines=show and not sys.stderr.isatty(),
         )  # fmt: skip
     if json:
         _print_json(plain(found.to_dict()))

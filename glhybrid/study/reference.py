@@ -1,8 +1,9 @@
 """The converged picture that all techniques are held against, and how noisy it still is.
 
-Two independent halves are averaged: half their difference is the standard deviation of their mean, so the reference
-says how small an error it can tell. That is watched in FLIP: relative MSE may hang on a few paths that found a sun in a
-mirror's mirror, and then falls with no number of samples. It is kept on disk by content and goes on from where it was.
+PARTS independent pictures are put together by pixel (robust.py). Each half of them, put together alike, is a picture of
+its own: half the difference of the two is the standard deviation of the whole, so the reference says how small an error
+it can tell. That is watched in FLIP: relative MSE may hang on a few paths that found a sun in a mirror's mirror.
+It is kept on disk by content and goes on from where it was.
 """
 
 import hashlib
@@ -24,13 +25,14 @@ from glhybrid.renderer import Renderer
 from glhybrid.scene import F32, Camera, Scene
 from glhybrid.settings import Settings
 from glhybrid.study import picture, store
+from glhybrid.study.robust import mean_of_means
 
 log = logging.getLogger("glhybrid")
 Progress = Callable[[str, int, int], None]
-BATCH = 8  # paths a pixel of the first two batches; they double
-LARGEST_BATCH = 256
+PARTS = 16
+LARGEST_BATCH = 64  # paths a pixel of a part, before all are looked at
 LOOK_SHARE = 4.0  # times as long as a look at its noise takes it is worked on before the next
-FLIP_POWER = 3.0  # paths grow by it as the noise falls: FLIP compresses small errors
+FLIP_POWER = 2.0  # paths grow by it as the noise falls
 LEAST = 64  # paths a pixel, whatever the time: fewer tell nothing apart
 
 
@@ -38,7 +40,8 @@ LEAST = 64  # paths a pixel, whatever the time: fewer tell nothing apart
 class Reference:
     """radiance: (H, W, 3) float32. noise_*: the error that its own noise is expected to have, in the same measures.
 
-    complete: whether the target was reached, not the limit of paths or time.
+    left_out_percent: of all light, what so few paths found that it is in no pixel. complete: whether the target was
+    reached, not the limit of paths or time.
     """
 
     radiance: F32
@@ -46,12 +49,15 @@ class Reference:
     bounces: int
     noise_rel_mse: float
     noise_flip: float
+    left_out_percent: float
     seconds: float
     complete: bool
     key: str
 
     def to_dict(self) -> dict[str, Any]:
-        names = ("samples", "bounces", "noise_rel_mse", "noise_flip", "seconds", "complete", "key")
+        names = (
+            "samples", "bounces", "noise_rel_mse", "noise_flip", "left_out_percent", "seconds", "complete", "key",
+        )  # fmt: skip
         return {name: getattr(self, name) for name in names}
 
 
@@ -85,98 +91,100 @@ def converge(
         folder = cache_dir() / "reference"
     # A scene without a digest of its content is not known again.
     path = folder / f"{key}.npz" if folder is not None and scene.sha256 else None
-    halves = _Halves.read(path, size) if path is not None else _Halves.empty(size)
-    started, kept_s, saved = time.perf_counter(), halves.seconds, time.perf_counter()
+    parts = _Parts.read(path, size) if path is not None else _Parts.empty(size)
+    started, kept_s, saved = time.perf_counter(), parts.seconds, time.perf_counter()
     noise, looked, looking_s = math.inf, started, 0.0
     while True:
         # To look takes seconds where pictures are large: at most a fifth of the time goes there.
-        due = halves.samples >= LEAST and time.perf_counter() - looked >= LOOK_SHARE * looking_s
-        due = due or halves.samples >= most
+        due = parts.samples >= LEAST and time.perf_counter() - looked >= LOOK_SHARE * looking_s
+        due = due or parts.samples >= most
         if due or time.perf_counter() - started >= budget_s:
             looking = time.perf_counter()
-            noise = halves.noise_flip()
+            noise = parts.noise_flip()
             looked = time.perf_counter()
             looking_s = looked - looking
         spent = time.perf_counter() - started
-        timed_out = spent >= budget_s and halves.samples >= LEAST
-        enough = halves.samples > 0 and (noise <= target or halves.samples >= most or timed_out)
-        if progress is not None:
-            aim = (
-                most
-                if noise <= 0 or not math.isfinite(noise)
-                else min(most, halves.samples * (noise / max(target, 1e-9)) ** FLIP_POWER)
-            )
-            progress("reference", halves.samples, max(math.ceil(aim), halves.samples))
+        timed_out = spent >= budget_s and parts.samples >= LEAST
+        enough = parts.samples > 0 and (noise <= target or parts.samples >= most or timed_out)
+        known = 0 < noise < math.inf
+        aim = min(most, parts.samples * (noise / max(target, 1e-9)) ** FLIP_POWER) if known else most
         if enough:
             break
-        count = min(LARGEST_BATCH, max(BATCH, halves.samples // 2))
-        if halves.samples and math.isfinite(budget_s):
-            rate = (halves.seconds + 1e-9) / halves.samples
-            count = max(1, min(count, int((budget_s - spent) / rate / 2) + 1))
-        for half in range(2):
-            base = Settings(reflections="reference", aa=1, bounces=bounces, samples=count, seed=halves.batches)
-            frame = renderer.render(scene, camera, size, base)
-            halves.add(half, frame["radiance"], count)
-        if halves.batches == 2:
-            started = time.perf_counter()  # the first pair also compiles, which is no progress
-        halves.seconds = kept_s + time.perf_counter() - started
+        count = min(LARGEST_BATCH, max(1, parts.count // 2))
+        if parts.count and math.isfinite(budget_s):
+            rate = (parts.seconds + 1e-9) / parts.samples
+            count = max(1, min(count, int((budget_s - spent) / rate / PARTS) + 1))
+        for part in range(PARTS):
+            base = Settings(reflections="reference", aa=1, bounces=bounces, samples=count, seed=parts.batches)
+            parts.add(part, renderer.render(scene, camera, size, base)["radiance"], count)
+            if progress is not None:
+                done = parts.samples + (part + 1) * count
+                progress("reference", done, max(math.ceil(aim), done))
+            if parts.batches == 1:
+                started = time.perf_counter()  # the first also compiles, which is no progress
+        parts.count += count
+        parts.seconds = kept_s + time.perf_counter() - started
         if path is not None and time.perf_counter() - saved > 20:
-            halves.write(path)
+            parts.write(path)
             saved = time.perf_counter()
-    if path is not None and halves.seconds > kept_s:
-        halves.write(path)
-    mean, off = halves.pictures()
+    if path is not None and parts.seconds > kept_s:
+        parts.write(path)
+    whole, off = parts.pictures()
     return Reference(
-        mean.astype(np.float32), halves.samples, bounces, picture.rel_mse(off, mean), noise, halves.seconds,
-        noise <= target, key,
+        whole.astype(np.float32), parts.samples, bounces, picture.rel_mse(off, whole), noise,
+        parts.left_out_percent(whole), parts.seconds, noise <= target, key,
     )  # fmt: skip
 
 
-class _Halves:
-    """Sums of two independent estimates."""
+class _Parts:
+    """Sums of independent estimates, each of `count` paths a pixel."""
 
-    def __init__(self, sums: list[Any], counts: list[int], batches: int, seconds: float) -> None:
-        self.sums, self.counts, self.batches, self.seconds = sums, counts, batches, seconds
+    def __init__(self, sums: F32, count: int, batches: int, seconds: float) -> None:
+        self.sums, self.count, self.batches, self.seconds = sums, count, batches, seconds
 
     @staticmethod
-    def empty(size: tuple[int, int]) -> "_Halves":
-        return _Halves([np.zeros((size[1], size[0], 3)) for _ in range(2)], [0, 0], 0, 0.0)
+    def empty(size: tuple[int, int]) -> "_Parts":
+        return _Parts(np.zeros((PARTS, size[1], size[0], 3), np.float32), 0, 0, 0.0)
 
     @property
     def samples(self) -> int:
-        return sum(self.counts)
+        return PARTS * self.count
 
-    def add(self, half: int, radiance: F32, count: int) -> None:
-        self.sums[half] += radiance.astype(np.float64) * count
-        self.counts[half] += count
+    def add(self, part: int, radiance: F32, count: int) -> None:
+        self.sums[part] += radiance * np.float32(count)
         self.batches += 1
 
     def pictures(self) -> tuple[Any, Any]:
-        """The mean of both, and a picture one standard deviation of that mean away from it: the first half."""
-        a, b = (s / n for s, n in zip(self.sums, self.counts, strict=True))
-        return (a + b) / 2, a
+        """The whole, and a picture one standard deviation away from it."""
+        whole = mean_of_means(self.sums) / self.count
+        a, b = (mean_of_means(self.sums[half::2]) / self.count for half in range(2))
+        return whole, np.maximum(whole + (a - b) / 2, 0)
 
     def noise_flip(self) -> float:
-        if not all(self.counts):
+        if not self.count:
             return math.inf
-        mean, off = self.pictures()
-        return float(picture.flip_map(off.astype(np.float32), mean.astype(np.float32)).mean())
+        whole, off = self.pictures()
+        return float(picture.flip_map(off.astype(np.float32), whole.astype(np.float32)).mean())
+
+    def left_out_percent(self, whole: Any) -> float:
+        all_light = float((self.sums.sum(0, dtype=np.float64) @ picture.LUMINANCE).mean()) / self.samples
+        return 100 * (1 - float((whole @ picture.LUMINANCE).mean()) / all_light) if all_light > 0 else 0.0
 
     def write(self, path: Path) -> None:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             with replacing(path) as temporary, temporary.open("wb") as file:
-                np.savez(file, a=self.sums[0], b=self.sums[1], counts=self.counts, rest=[self.batches, self.seconds])
+                np.savez(file, parts=self.sums, rest=[self.count, self.batches, self.seconds])
         except Exception as error:  # a cache that cannot be written costs time, nothing else
             log.warning("%s: the reference is not kept: %s", path, error)
 
     @staticmethod
-    def read(path: Path, size: tuple[int, int]) -> "_Halves":
+    def read(path: Path, size: tuple[int, int]) -> "_Parts":
         try:
             with path.open("rb") as opened, np.load(opened) as file:  # a damaged archive does not close itself
-                sums, counts, rest = [file["a"], file["b"]], file["counts"].tolist(), file["rest"].tolist()
-            if sums[0].shape == (size[1], size[0], 3) == sums[1].shape:
-                return _Halves(sums, counts, int(rest[0]), float(rest[1]))
+                sums, (count, batches, seconds) = file["parts"], file["rest"].tolist()
+            if sums.shape == (PARTS, size[1], size[0], 3):
+                return _Parts(sums, int(count), int(batches), float(seconds))
         except Exception:  # absent, damaged or foreign: made anew
             pass
-        return _Halves.empty(size)
+        return _Parts.empty(size)

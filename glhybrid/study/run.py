@@ -41,6 +41,7 @@ def run(
     camera: int | str | None = None,
     only: Sequence[str] = (),
     samples: int | None = None,
+    seconds: float | None = None,
     bounces: int = 8,
     command: str = "",
     parts: Sequence[str] | None = None,
@@ -52,15 +53,15 @@ def run(
     is kept.
 
     paper: the paper's scenes, and its method against the many-ray one. sizes: in pixels; each scene is studied at each.
-    only: names of techniques; default all. samples: the most paths a pixel of the reference. command: what is printed
-    as the line that makes this study again. parts: of PARTS or PAPER_PARTS; default those. lines: log lines instead of
-    a bar. Raises what loading, settings, devices and writing raise, all of it before any work is done where that can be
-    known.
+    only: names of techniques; default all. samples, seconds: the most paths a pixel, and the most time, of a
+    reference. command: what is printed as the line that makes this study again. parts: of PARTS or PAPER_PARTS; default
+    those. lines: log lines instead of a bar. Raises what loading, settings, devices and writing raise, all of it before
+    any work is done where that can be known.
     """
     picture.require_flip()
     only = sweep.check_names(only)
-    for size in sizes:
-        scene_study.effort(quick, True, size, samples)  # refuses a size
+    for size in sizes or (None,):
+        scene_study.effort(quick, True, size, samples, seconds)  # refuses a size
     if parts is None:
         parts = PAPER_PARTS if paper else PARTS
     if paper and not sizes:
@@ -71,7 +72,9 @@ def run(
     store.prepare(output)
     with Renderer(device=device) as renderer:
         software = renderer.context.device.software
-        efforts = [scene_study.effort(quick, software, size, samples) for size in dict.fromkeys(sizes or (None,))]
+        efforts = [
+            scene_study.effort(quick, software, size, samples, seconds) for size in dict.fromkeys(sizes or (None,))
+        ]
         spent = efforts[0]
         study, meter = Study(_machine(renderer, [e.size for e in efforts], command)), Meter(progress, lines)
         work = []
@@ -81,7 +84,7 @@ def run(
             for at in efforts:
                 full = name if len(efforts) == 1 else f"{name} {at.size[0]}x{at.size[1]}"
                 work.append(
-                    scene_study.SceneStudy(renderer, full, scene, seen, axes, at, bounces, output, study, meter)
+                    scene_study.SceneStudy(renderer, full, scene, seen, axes, at, bounces, output, study, meter, name)
                 )
                 meter.expect(work[-1].size_of_work())
         costs = {

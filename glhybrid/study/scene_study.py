@@ -49,7 +49,10 @@ class Effort:
     pairs: int
 
 
-def effort(quick: bool, software: bool, size: tuple[int, int] | None, most: int | None) -> Effort:
+def effort(
+    quick: bool, software: bool, size: tuple[int, int] | None, most: int | None, seconds: float | None = None
+) -> Effort:
+    """most, seconds: of the reference, where they are not the usual ones."""
     if quick:
         chosen = Effort(
             (256, 144) if software else (960, 540), Clock(2 if software else 32, 0.0), 16, 0.005,
@@ -64,6 +67,10 @@ def effort(quick: bool, software: bool, size: tuple[int, int] | None, most: int 
         if min(size) < SMALLEST:
             raise SettingError(f"--size {size[0]}x{size[1]}: a study needs at least {SMALLEST} pixels a side")
         chosen = replace(chosen, size=size)
+    if seconds is not None:
+        if not seconds > 0:
+            raise SettingError(f"--reference-seconds {seconds:g}: a reference needs more than 0 seconds")
+        chosen = replace(chosen, budget_s=seconds)
     return replace(chosen, most=most) if most is not None else chosen
 
 
@@ -72,11 +79,12 @@ class SceneStudy:
 
     def __init__(
         self, renderer: Renderer, name: str, scene: Scene, camera: Camera, axes: Mapping[str, Sequence[Cell]],
-        spent: Effort, bounces: int, output: Path, study: Study, meter: Meter,
+        spent: Effort, bounces: int, output: Path, study: Study, meter: Meter, group: str = "",
     ) -> None:  # fmt: skip
-        """axes: the cells to measure, by what they are for; those of several are then put together in pairs."""
+        """axes: the cells to measure, by what they are for; those of several are then put together in pairs. group: the
+        scene's name where it is studied at several sizes, each under a name of its own."""
         self.renderer, self.name, self.scene, self.camera = renderer, name, scene, camera
-        self.axes, self.spent, self.bounces = axes, spent, bounces
+        self.axes, self.spent, self.bounces, self.group = axes, spent, bounces, group or name
         self.folder, self.study, self.meter = output / name, study, meter
         self._comparing: Comparing | None = None
         self._pending: list[tuple[dict[str, Any], Future[dict[str, Any]]]] = []
@@ -131,7 +139,7 @@ class SceneStudy:
     def _describe(self) -> None:
         scene, size = self.scene, self.spent.size
         self.study.scenes[self.name] = {
-            "path": str(scene.path) if scene.path else None, "sha256": scene.sha256,
+            "group": self.group, "path": str(scene.path) if scene.path else None, "sha256": scene.sha256,
             "triangles": scene.triangle_count(), "instances": len(scene.instances), "lights": len(scene.lights),
             "camera": self.camera.name, "size": list(size), "exposure_ev": self.exposure,
             "reference": self.reference.to_dict() | {"png": "reference.png", "exr": "reference.exr"},
@@ -242,7 +250,8 @@ class SceneStudy:
         if self._mirrors is not None and cell.axis_of("reflections"):
             shown = self._mirrors.ask(self.renderer, settings)
         row = {
-            "scene": self.name, **measure.describe(cell, times), "bytes": measure.memory(frame.receipt),
+            "scene": self.name, "size": list(self.spent.size), **measure.describe(cell, times),
+            "bytes": measure.memory(frame.receipt),
             "flicker": moving.flicker if moving else None,
             "flicker_p99": moving.flicker_p99 if moving else None,
             "flip_rate_percent": moving.flip_rate_percent if moving else None,

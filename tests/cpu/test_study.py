@@ -13,7 +13,7 @@ from glhybrid import cli, techniques
 from glhybrid.errors import OutputError, SettingError
 from glhybrid.scene import Light, Material, Scene
 from glhybrid.settings import Settings
-from glhybrid.study import direct, pareto, picture, run, stability, store, sweep
+from glhybrid.study import direct, pareto, picture, robust, run, stability, store, sweep
 from glhybrid.study.progress import Meter, spoken
 from glhybrid.study.report import axis, charts
 from glhybrid.study.sweep import Cell
@@ -155,6 +155,31 @@ def test_black_references_and_values_that_are_not_finite() -> None:
     broken = np.ones((20, 20, 3), np.float32)
     broken[3, 3] = np.nan
     assert np.isfinite(picture.flip_map(broken, np.ones_like(broken))).all()
+
+
+def test_a_mean_that_a_few_paths_do_not_decide() -> None:
+    """Where parts agree it is their mean to the bit; one speck among sixteen is left out; an even chance is not."""
+    rng = np.random.default_rng(2)
+    calm = rng.uniform(0.9, 1.1, (16, 70, 5, 3))
+    assert np.allclose(robust.mean_of_means(calm), calm.mean(0), rtol=1e-12)
+    struck = calm.copy()
+    struck[3, 10, 2] = 1e4
+    got = robust.mean_of_means(struck)
+    assert np.abs(got - 1).max() < 0.1 and struck.mean(0).max() > 600
+    lamp = np.where(np.arange(16) % 2 == 0, 2.0, 0.5)[:, None, None, None] * np.ones((16, 4, 4, 3))
+    assert np.allclose(robust.mean_of_means(lamp), 1.25), "both ends are left out alike"
+    assert (robust.mean_of_means(np.zeros((16, 2, 2, 3))) == 0).all()
+
+
+def test_what_is_left_out_falls_with_the_paths() -> None:
+    """Light that one path in 200 finds: parts of 20 paths lose most of it, parts of 20,000 none."""
+    rng = np.random.default_rng(4)
+    means = [
+        robust.mean_of_means(np.repeat(rng.binomial(paths, 0.005, (16, 30, 30, 1)) / (0.005 * paths), 3, -1)).mean()
+        for paths in (20, 200, 2000, 20000)
+    ]
+    assert means[0] < 0.3 and means[-1] == pytest.approx(1, abs=0.01)
+    assert np.all(np.diff(means) > -0.01), means
 
 
 def test_magma_ends() -> None:

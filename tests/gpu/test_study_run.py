@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from PIL import Image
 from rays import moved, scene_of
 
 import glhybrid as gh
@@ -93,6 +94,42 @@ def test_a_study_end_to_end_and_again(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(measure, "time_frames", lambda *_: pytest.fail("was kept"))
     second = _run(tmp_path, monkeypatch, context)
     assert [r["frame_ms"] for r in second.rows] == [r["frame_ms"] for r in first.rows]
+
+
+def test_several_sizes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, context: "Context") -> None:
+    """Each is studied like one alone, in a folder of its own, and shown; one that is added finds the others kept."""
+    sizes = ((64, 48), (96, 64))
+    options = {"only": ("ray", "ray-lerp"), "sizes": sizes}
+    first = _run(tmp_path, monkeypatch, context, **options)
+    names = ["stage 64x48", "stage 96x64"]
+    assert list(first.scenes) == names and [tuple(s["size"]) for s in first.scenes.values()] == list(sizes)
+    assert first.machine["sizes"] == [list(size) for size in sizes]
+    by_scene = [
+        {row["label"] for row in first.rows if row["scene"] == name and row["axes"] != ["pairs"]} for name in names
+    ]
+    assert by_scene[0] == by_scene[1] and len(by_scene[0]) > 2
+    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    for name, (width, height) in zip(names, sizes, strict=True):
+        rows = [row for row in results["rows"] if row["scene"] == name]
+        assert any(row["pareto"] for row in rows), "a front of its own"
+        for row in rows:
+            assert row["size"] == [width, height]
+            with Image.open(tmp_path / "out" / name / row["images"]["png"]) as drawn:
+                assert drawn.size == (width, height)
+    page = (tmp_path / "out" / "report.html").read_text()
+    for name in names:
+        assert f"<h2>{name}</h2>" in page and (tmp_path / "out" / "charts" / f"{name}-picture.svg").is_file()
+    (chart,) = re.findall(r'<svg class="chart"[^>]*aria-label="stage: frame time over pixels.*?</svg>', page, re.S)
+    assert "ray + ray-lerp (" in chart and "stage</b> at 64 × 48, 96 × 64." in page
+    # Stopped after its first size, and asked for one more: what is there is kept, the rest is made.
+    real, calls = measure.time_frames, []
+    monkeypatch.setattr(measure, "time_frames", lambda *args: calls.append(args) or real(*args))
+    third = _run(tmp_path, monkeypatch, context, only=options["only"], sizes=(*sizes, (48, 48)))
+    assert calls and {args[3] for args in calls} == {(48, 48)}
+    kept = {(row["scene"], row["label"]): row["frame_ms"] for row in third.rows}
+    for row in first.rows:
+        assert kept[row["scene"], row["label"]] == row["frame_ms"]
+    assert len(third.rows) == len(first.rows) + len(calls)
 
 
 @pytest.mark.parametrize("processes", [0, 2])

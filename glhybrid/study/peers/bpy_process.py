@@ -8,7 +8,10 @@ import numpy as np
 
 from glhybrid.study.peers import common
 
-NOTES = ["Principled BSDF: its own Fresnel and height-correlated Smith term", "8 bounces; lamps are spheres of their radius, spots' edges smooth steps"]
+NOTES = [
+    "Principled BSDF: its own Fresnel and height-correlated Smith term",
+    "8 bounces; lamps are spheres of their radius, spots' edges smooth steps",
+]
 
 
 def main(folder: str, out: str) -> None:

@@ -73,11 +73,10 @@ def _bsdf(mi: Any, drawn: Drawn) -> dict[str, Any]:
     if drawn.unlit:  # shines with its colour: the emitter does it
         return {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
     if drawn.metallic >= 1 and drawn.roughness < MIRROR and drawn.roughness_texture is None:
-        # principled has no exact mirror: it would show lamps without size, which next to no path finds otherwise
-        tint = mi.Bitmap(drawn.color_texture) if drawn.color_texture is not None else None
-        color = {"type": "rgb", "value": list(drawn.color)}
-        if tint is not None:
-            color = {"type": "bitmap", "bitmap": tint, "raw": True}
+        # Not by principled, which has no exact mirror: it shows lamps without size, as specks all over the picture.
+        color: dict[str, Any] = {"type": "rgb", "value": list(drawn.color)}
+        if drawn.color_texture is not None:
+            color = {"type": "bitmap", "bitmap": mi.Bitmap(drawn.color_texture), "raw": True}
         mirror = {"type": "conductor", "material": "none", "specular_reflectance": color}
         return {"type": "twosided", "bsdf": mirror}
     bsdf: dict[str, Any] = {"type": "principled", "specular": 0.5}

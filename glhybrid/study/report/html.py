@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from glhybrid import __version__, techniques
 from glhybrid.image import replacing
 from glhybrid.study import pareto
-from glhybrid.study.report import charts, tables
+from glhybrid.study.report import charts, sizes, tables
 from glhybrid.study.report.axis import shown
 from glhybrid.study.report.charts import Line, Point
 
@@ -37,7 +37,7 @@ def write(study: "Study", output: Path) -> None:
 
 
 def _page(study: "Study", output: Path, files: dict[str, str]) -> str:
-    parts = [_header(study), "<main>", _findings(study)]
+    parts = [_header(study), "<main>", _findings(study), sizes.section(study, files)]
     for name in study.scenes:
         parts.append(_scene(study, name, output, files))
     parts += [
@@ -144,7 +144,7 @@ def _scene(study: "Study", name: str, output: Path, files: dict[str, str]) -> st
         f"“{escape(about['camera'])}”. The reference has {reference['samples']:,} paths a pixel of up to "
         f"{reference['bounces']} bounces ({_duration(reference['seconds'])}{reached}); its own noise is "
         f"FLIP {shown(reference['noise_flip'])}, relative MSE {shown(reference['noise_rel_mse'])}: smaller errors "
-        "cannot be told apart.</p>",
+        f"cannot be told apart.{_left_out(reference)}</p>",
         _key(),
         '<div class="charts">',
     ]
@@ -158,11 +158,21 @@ def _scene(study: "Study", name: str, output: Path, files: dict[str, str]) -> st
     parts += [
         "</div>",
         _compare(name, rows),
-        tables.cells(rows, clock),
+        tables.cells(rows, clock, reference),
         _strip(name, about, rows, output),
         "</section>",
     ]
     return "".join(parts)
+
+
+def _left_out(reference: Row) -> str:
+    share = reference["left_out_percent"]
+    if share < 0.05:
+        return ""
+    return (
+        f" {shown(share)} % of the light came by so few paths that it would be specks, and is left out: mostly suns and "
+        "lamps seen in glossy surfaces by way of rough ones."
+    )
 
 
 def _chart(name: str, axis: str, rows: Sequence[Row], clock: str, reference: Row) -> tuple[str, str]:
@@ -367,7 +377,10 @@ def _reading(study: "Study") -> str:
         "antialiased.</p>"
         "<p><b>The reference</b> is the full light transport: sky behind obstacles and light between surfaces too. The "
         "techniques here leave those out, so the whole picture keeps an error that no choice of shadow or reflection "
-        "removes. The charts by kind leave that part out: <b>direct light</b> is lights alone, held against rays to points "
+        "removes. Its parts are put together by pixel so that light which one path in thousands found is not a speck that "
+        "counts against everybody (Buisine et al. 2021); what is left out falls as paths are added. Its noise is half the "
+        "difference of its halves; a relative MSE contains the reference's own, which may be subtracted, and a FLIP "
+        "well above it hardly does. The charts by kind leave that part out: <b>direct light</b> is lights alone, held against rays to points "
         "all over each light; <b>specular</b> weights a pixel's error by how much of its reflectance is specular.</p>"
         "<p><b>Wrong shadow</b>: pixels on the other side of one half than the truth, of those that face the light, also "
         "outside and inside the band of one pixel about the true edge. <b>Flicker</b> and <b>flips</b>: what changes at the "

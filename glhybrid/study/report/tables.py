@@ -41,20 +41,25 @@ PARTS: tuple[Column, ...] = (
 )
 
 
-def cells(rows: Sequence[Row], clock: str) -> str:
+def cells(rows: Sequence[Row], clock: str, reference: Row) -> str:
     """All figures of a scene: of the whole picture; then of shadows, mirrors and motion, where they were asked for."""
     time = [column for column in TIME if column[0] == "frame_ms" or clock != "frame_ms"]
     told = [row for row in rows if any(row.get(key) is not None for key, _, _ in PARTS)]
     only = [column for column in time if column[0] == clock]
     return (
         "<h3>All figures</h3><p class='soft'>A dot: on the front of the whole picture. A head sorts.</p>"
-        f"{_sortable(rows, [*time, *ERRORS], clock)}<h3>Shadows, mirrors, and what changes in motion</h3>"
+        f"{_sortable(rows, [*time, *ERRORS], clock, _noise_row(reference))}<h3>Shadows, mirrors, and what changes in motion</h3>"
         "<p class='soft'>Mirrors are asked of reflection techniques, and motion of every technique at its defaults.</p>"
         f"{_sortable(told, [*only, *PARTS], clock)}"
     )
 
 
-def _sortable(rows: Sequence[Row], columns: Sequence[Column], clock: str) -> str:
+def _noise_row(reference: Row) -> Row:
+    """What a picture would read that differs from the truth by no more than the reference does."""
+    return {"flip": reference["noise_flip"], "rel_mse": reference["noise_rel_mse"]}
+
+
+def _sortable(rows: Sequence[Row], columns: Sequence[Column], clock: str, noise: Row | None = None) -> str:
     columns = [c for c in columns if any(row.get(c[0]) is not None for row in rows)]
     head = "".join(f'<th title="{escape(tip, quote=True)}"><button>{text}</button></th>' for _, text, tip in columns)
     body = []
@@ -62,9 +67,13 @@ def _sortable(rows: Sequence[Row], columns: Sequence[Column], clock: str) -> str
         figures = "".join(_cell(row, key) for key, _, _ in columns)
         front = ' class="front"' if row["pareto"] else ""
         body.append(f"<tr{front}><td>{escape(row['label'])}</td>{figures}</tr>")
+    foot = ""
+    if noise is not None:
+        figures = "".join(_cell(noise, key) for key, _, _ in columns)
+        foot = f'<tfoot><tr class="soft"><td>the reference’s own noise</td>{figures}</tr></tfoot>'
     return (
         f'<div class="wide"><table class="sortable"><thead><tr><th><button>technique</button></th>{head}</tr></thead>'
-        f"<tbody>{''.join(body)}</tbody></table></div>"
+        f"<tbody>{''.join(body)}</tbody>{foot}</table></div>"
     )
 
 
