@@ -64,18 +64,23 @@ LobeAxes lobe_axes(vec3 n, vec3 v) {
     return LobeAxes(across, cross(v, across), cross(n, across), clamp(dot(n, v), 0.05, 1.0));
 }
 
+// Of a lobe: tangent of its deviation. Half of GGX's half vectors are in it, and what is reflected turns twice as far.
+float lobe_tangent(Guide g) { return 1.4 * square(g.roughness); }
+
 vec3 toward_eye(Guide g) { return frame.orthographic == 1u ? -frame.forward_ws : normalize(frame.eye_ws - g.position); }
 
-// 1 where another surface continues this one: on its plane, turned like it, as rough.
-float alike(Guide a, Guide b) {
+// 0 where another surface continues this one: on its plane, turned like it, as rough. In squared deviations.
+float unlike(Guide a, Guide b) {
     vec3 d = b.position - a.position;
     float slope2 = square(dot(a.n, d)) / max(dot(d, d), 1e-30);
     // Normals may be as far apart as the half vectors of one lobe.
     float turn = IS_VISIBILITY ? 0.3 : max(square(a.roughness), 0.01);
     float turned = 2.0 * max(1.0 - dot(a.n, b.n), 0.0) / square(turn);
     float rougher = IS_VISIBILITY ? 0.0 : square((b.roughness - a.roughness) / (0.1 * a.roughness + 0.005));
-    return exp(-(slope2 / square(0.1) + turned + rougher));
+    return slope2 / square(0.1) + turned + rougher;
 }
+
+float alike(Guide a, Guide b) { return exp(-unlike(a, b)); }
 
 // Of the pixels whose mean stands for how bright it is about one.
 const int LEVEL_REACH = 2;

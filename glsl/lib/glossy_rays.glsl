@@ -7,7 +7,7 @@ layout(rgba32f) uniform image2D out_reflection;    // radiance; distance, the ha
 layout(rg16f) uniform image2D out_noise;           // mean square of the luminance over the square of its mean; rays
 #endif
 #if USE_REUSE
-layout(rgba32ui) writeonly uniform uimage2DArray out_rays;    // direction; distance; radiance
+layout(rgba32ui) writeonly uniform uimage2DArray out_rays;    // direction; distance; radiance; how many
 #endif
 #if USE_REASON
 layout(r8ui) writeonly uniform uimage2D out_reason;
@@ -57,7 +57,7 @@ Drawn draw_ray(Shine a, ivec2 px, int i) {
     d.sent = true;
     d.bent = false;
     if (!is_mirror(a.lobe)) {
-        uvec2 start = sequence_start(px, GLOSSY_SEQUENCE + uint(GLOSSY_COAT), frame.seed);
+        uvec2 start = lattice_start(px, GLOSSY_SEQUENCE + uint(GLOSSY_COAT), frame.seed);
         d.h = ggx_sample_vndf(a.lobe.n, a.v, a.lobe.alpha, sequence_point(start, frame.number * uint(a.count) + uint(i)));
     }
     d.dir = reflect(-a.v, d.h);
@@ -76,7 +76,7 @@ Drawn draw_ray(Shine a, ivec2 px, int i) {
 struct Gathered { vec3 sum; float squares, nearness; int rays; };   // nearness: sum of 1 / distance
 
 // Adds what ray i sees, times its weight; beside: what came by other ways at its turn.
-void gather(inout Gathered g, ivec2 px, int i, Drawn d, float distance, vec3 seen, vec3 beside) {
+void gather(inout Gathered g, Shine a, ivec2 px, int i, Drawn d, float distance, vec3 seen, vec3 beside) {
     if (d.sent) {
         g.nearness += 1.0 / max(distance, 1e-30);
         g.rays++;
@@ -85,7 +85,7 @@ void gather(inout Gathered g, ivec2 px, int i, Drawn d, float distance, vec3 see
     g.squares += square(luminance(seen + beside));
 #if USE_REUSE
     imageStore(out_rays, ivec3(px, i), uvec4(packUnorm2x16(oct_encode(d.dir)), floatBitsToUint(d.sent ? distance : INFINITY),
-                                             packHalf2x16(min(seen.xy, vec2(6e4))), packHalf2x16(vec2(min(seen.z, 6e4), 0.0))));
+                                             packHalf2x16(min(seen.xy, vec2(6e4))), packHalf2x16(vec2(min(seen.z, 6e4), is_mirror(a.lobe) ? 0.0 : float(a.count)))));
 #endif
 }
 
@@ -94,6 +94,9 @@ void store_rays(ivec2 px, Shine a, Gathered g, bool bent, int first, int end) {
     vec4 result = vec4(0.0);
     vec2 noise = vec2(0.0);
     uint reason = a.reason;
+#if USE_REUSE
+    if (a.count == 0 && first == 0) imageStore(out_rays, ivec3(px, 0), uvec4(0u));
+#endif
     if (reason == REASON_ROUGH && SPECULAR_SKY) result.rgb = environment_prefiltered(reflect(-a.v, a.lobe.n), a.lobe.roughness);
     if (a.count > 0) {
         float n = float(end);

@@ -42,6 +42,12 @@ uvec2 sequence_start(ivec2 px, uint use, uint seed) {
     return bitfieldReverse(uvec2(owen_reversed(index, key), owen_reversed(pascal(index), pcg(key))));
 }
 
+// The same along a lattice of pixels.
+uvec2 lattice_start(ivec2 px, uint use, uint seed) {
+    uint key = pcg(use ^ pcg(seed));
+    return uvec2(key, pcg(key)) + uint(px.x) * uvec2(3265572727u, 3424507563u) + uint(px.y) * uvec2(681722979u, 1464820930u);
+}
+
 // Point i from there.
 vec2 sequence_point(uvec2 start, uint i) {
     uvec2 x = start + i * uvec2(3242174889u, 2447445414u);                 // 2^32 over the plastic number, and over its square

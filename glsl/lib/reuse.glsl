@@ -8,7 +8,9 @@
 // 1997): half the variance. It is GGX over slopes, averaged over the middle and six places around it.
 #include "lib/brdf.glsl"
 
-uniform usampler2DArray rays;              // of this frame, a layer each: direction; distance; radiance over albedo
+uniform usampler2DArray rays;              // of this frame, a layer each: direction; distance; radiance over albedo; count
+
+int ray_count(uvec4 first) { return int(unpackHalf2x16(first.w).y); }
 
 const float REUSE_TAPS = 48.0;            // pixels looked at, about, if each has one ray
 const float REUSE_SHARE = 1.6;             // deviation of these over the length over which the lobe's image changes
@@ -16,6 +18,7 @@ const float REUSE_PIXELS = 5.0;            // most: as many as there are taps fo
 const float REUSE_LEAST = 0.5;             // least, pixels
 const float REUSE_CUT = 2.3;               // deviations, to the farthest
 const float REUSE_RING = 1.6;              // deviations, to the six places: their second moments are those of what is cut
+const float REUSE_FAR = 1.2;               // of the distance of the nearest things: theirs differ
 const float REUSE_ENOUGH = 64.0;           // rays
 const vec2 HEXAGON[6] = vec2[](vec2(1.0, 0.0), vec2(0.5, 0.8660254), vec2(-0.5, 0.8660254), vec2(-1.0, 0.0),
                                vec2(-0.5, -0.8660254), vec2(0.5, -0.8660254));
@@ -39,49 +42,56 @@ Reused reuse_rays(ivec2 px, Guide g, vec3 v, float extent, float nearest, float 
     vec2 shift = spacing > 1.0 ? fract(vec2(0.7548777, 0.5698403) * (float(px.x) + 17.0 * float(px.y))) - 0.5 : vec2(0.0);
     ivec2 steps = ivec2(reach / spacing);
 
-    float around[6], all = 6.0;            // how much of the neighbourhood is there, to six sides
-    for (int j = 0; j < 6; j++) {
-        around[j] = 0.0;
-        ivec2 q = px + ivec2(round(screen * (HEXAGON[j] * size) * 2.0));
-        if (steps != ivec2(0) && inside(q)) {
+    // How much of the neighbourhood is there: on average over the ring, and more to which side.
+    float there_is = 0.0;
+    vec2 side = vec2(0.0);
+    if (steps != ivec2(0))
+        for (int j = 0; j < 6; j++) {
+            ivec2 q = px + ivec2(round(screen * (HEXAGON[j] * size) * 2.0));
+            if (!inside(q)) continue;
             uvec4 bits = texelFetch(guide, q, 0);
-            if (is_surface(bits) && texelFetch(noise, q, 0).y > 0.0) around[j] = alike(g, unpack_guide(bits, vec2(q)));
+            if (!is_surface(bits) || ray_count(texelFetch(rays, ivec3(q, 0), 0)) == 0) continue;
+            float w = alike(g, unpack_guide(bits, vec2(q)));
+            there_is += w / 6.0;
+            side += w / 3.0 * HEXAGON[j];
         }
-        all += around[j];
-    }
+    side *= min(there_is / max(length(side), 1e-9), 1.0);
 
+    // Slopes of half vectors, of v and a direction, are ratios: neither needs to be of length one.
+    float v_up = dot(v, axes.up), v_n = dot(v, g.n), turn = REUSE_RING * 0.5 * deviation * width;
+    float inverse_depth = frame.orthographic == 1u ? 0.0 : 1.0 / g.depth, far = REUSE_FAR * nearest;
     vec3 sum = vec3(0.0), own_sum = vec3(0.0);
     float weight = 0.0, weights2 = 0.0;
     for (int y = -steps.y; y <= steps.y; y++)
         for (int x = -steps.x; x <= steps.x; x++) {
             vec2 o = x == 0 && y == 0 ? vec2(0.0) : round(spacing * (vec2(x, y) + shift));
-            vec2 at = transpose(screen) * o / size;
+            vec2 at = o * screen / size;
             ivec2 q = px + ivec2(o);
             if (dot(at, at) > square(REUSE_CUT) || !inside(q)) continue;
-            uvec4 bits = texelFetch(guide, q, 0);
-            if (!is_surface(bits)) continue;
-            int count = int(texelFetch(noise, q, 0).y);
+            uvec4 bits = texelFetch(guide, q, 0), ray = texelFetch(rays, ivec3(q, 0), 0);
+            int count = ray_count(ray);
+            if (!is_surface(bits) || count == 0) continue;
             Guide there = unpack_guide(bits, vec2(q));
-            float near = exp(-0.5 * dot(at, at)) * alike(g, there);
+            float near = exp(-0.5 * dot(at, at) - unlike(g, there));
             if (near < 0.01) continue;
             vec3 d = there.position - g.position;
             for (int i = 0; i < count; i++) {
-                uvec4 ray = texelFetch(rays, ivec3(q, i), 0);
-                float distance = max(min(uintBitsToFloat(ray.y), nearest), 1e-6 * nearest);
-                vec3 dir = oct_decode(unpackUnorm2x16(ray.x));
-                vec3 h = normalize(v + (distance < 1e15 ? normalize(d + dir * distance) : dir));
-                vec2 slope = vec2(dot(h, axes.across), dot(h, axes.up)) / max(dot(h, g.n), 1e-3);
+                if (i > 0) ray = texelFetch(rays, ivec3(q, i), 0);
+                float distance = max(min(uintBitsToFloat(ray.y), far), 1e-6 * nearest);
+                vec3 dir = normalize(d + oct_decode(unpackUnorm2x16(ray.x)) * distance);
+                vec2 slope = vec2(dot(dir, axes.across), dot(dir, axes.up) + v_up) / max(dot(dir, g.n) + v_n, 1e-3);
                 // The same point, seen from a deviation away: so much the slope of the half vector changes.
-                float turned = REUSE_RING * 0.5 * deviation * width * (1.0 / distance + (frame.orthographic == 1u ? 0.0 : 1.0 / g.depth));
-                float likely = 1.0 / square(a2 + dot(slope, slope)), mixed = 6.0 * likely;
-                for (int j = 0; j < 6; j++) {
-                    vec2 other = slope - turned * HEXAGON[j];
-                    mixed += around[j] / square(a2 + dot(other, other));
-                }
-                float w = near * likely * all / mixed;
+                float turned = turn * (1.0 / distance + inverse_depth), s2 = dot(slope, slope);
+                // Of GGX, 1 / (a^2 + |slope - turned|^2)^2, the mean over all sides, closed.
+                float about = a2 + s2 + square(turned);
+                float inverse = inversesqrt(max(square(about) - 4.0 * s2 * square(turned), square(a2)));
+                float ring = (there_is * about + 2.0 * turned * dot(side, slope)) * inverse * square(inverse * (a2 + s2));
+                float w = near * (1.0 + there_is) / (1.0 + ring);
                 vec3 seen = vec3(unpackHalf2x16(ray.z), unpackHalf2x16(ray.w).x);
                 sum += w * seen;
+#if USE_SKY_SAMPLES || USE_EMITTERS
                 if (q == px) own_sum += seen / float(count);
+#endif
                 weight += w;
                 weights2 += w * w;
             }

@@ -24,7 +24,8 @@ const float KERNEL[3] = float[](0.375, 0.25, 0.0625);    // cubic B-spline
 
 const float LENGTH_SHARE = IS_VISIBILITY ? 1.0 : 2.0;
 const float LEAST_PIXELS = 2.0;
-const float LEVEL_DEVIATIONS = 2.0;
+const float LEAST_SHARE = 0.125;         // of what a lobe covers of a surface far behind
+const float LEVEL_DEVIATIONS = 4.0;
 const float DEVIATIONS = 6.0;            // of one pixel's own mean: only what no chance explains
 
 void main() {
@@ -35,12 +36,15 @@ void main() {
     if (center.a > 0.0) {
         Guide g = unpack_guide(texelFetch(guide, px, 0), vec2(px));
         float width = pixel_width(g.depth);
-        float len = max(LENGTH_SHARE * texelFetch(history, AT(px), 0).a, LEAST_PIXELS * width);
+        // A lobe as narrow as a pixel has no noise to speak of: what differs between pixels is what it shows.
+        float least = LEAST_PIXELS * width;
+        if (!IS_VISIBILITY && frame.orthographic == 0u) least = min(least, LEAST_SHARE * lobe_tangent(g) * g.depth);
+        float len = max(LENGTH_SHARE * texelFetch(history, AT(px), 0).a, least);
         float m = luminance(center.rgb);
         vec2 about = texelFetch(level, AT(px), 0).xy;
-        float least = square(1e-5 * about.x) + 1e-30;
+        float tiny = square(1e-5 * about.x) + 1e-30;
         LobeAxes axes = lobe_axes(g.n, toward_eye(g));
-        float len_across = max(len * axes.NoV, LEAST_PIXELS * width);
+        float len_across = max(len * axes.NoV, least);
         if (len > 0.3 * float(stride) * width) {
             float weight = square(KERNEL[0]);
             result = center * vec4(vec3(weight), square(weight));
@@ -55,8 +59,8 @@ void main() {
                     float d2 = IS_VISIBILITY ? dot(d, d) / square(len) : square(dot(d, axes.across) / len_across) + square(dot(d, axes.along) / len);
                     vec2 other = texelFetch(level, AT(q), 0).xy;
                     float apart = 0.5 * d2
-                                + square(other.x - about.x) / (square(LEVEL_DEVIATIONS) * (other.y + about.y) + least)
-                                + square(luminance(c.rgb) - m) / (square(DEVIATIONS) * (c.a + center.a) + least);
+                                + square(other.x - about.x) / (square(LEVEL_DEVIATIONS) * (other.y + about.y) + tiny)
+                                + square(luminance(c.rgb) - m) / (square(DEVIATIONS) * (c.a + center.a) + tiny);
                     float w = KERNEL[abs(x)] * KERNEL[abs(y)] * alike(g, there) * exp(-apart);
                     result += c * vec4(vec3(w), square(w));
                     weight += w;

@@ -43,10 +43,9 @@ vec2 noise_of(ivec2 px, vec4 s) {
 // Over which length of this surface the mean of a lobe or of a disc of light changes, standard deviation in m.
 float length_of(vec4 s, Guide g) {
     if (IS_VISIBILITY) return 0.5 * s.a;                                   // of an even disc half its radius
-    float tan_lobe = 1.4 * square(g.roughness);                            // GGX: half of the half vectors, twice as far
     float t = frame.orthographic == 1u ? INFINITY : g.depth;
     float far = min(s.a, 1e15);
-    return tan_lobe * (t < INFINITY ? far * t / (far + t) : far);
+    return lobe_tangent(g) * (t < INFINITY ? far * t / (far + t) : far);
 }
 
 Near look_around(ivec2 px, Guide g) {

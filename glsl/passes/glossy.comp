@@ -103,7 +103,7 @@ void main() {
 #endif
             seen *= d.weight;
         }
-        gather(g, px, i, d, distance, seen, beside);
+        gather(g, a, px, i, d, distance, seen, beside);
     } END_FOR(i, end)
     store_rays(px, a, g, bent, ray_first, end);
 }
