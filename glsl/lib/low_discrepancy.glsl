@@ -42,7 +42,10 @@ uvec2 sequence_start(ivec2 px, uint use, uint seed) {
     return bitfieldReverse(uvec2(owen_reversed(index, key), owen_reversed(pascal(index), pcg(key))));
 }
 
-// The same along a lattice of pixels.
+// The same where neighbours share what they find: pixels are a lattice too. What a filter over pixels leaves is the waves
+// of the integrand that are slow across the screen. These steps were searched for (400 strongest waves of half planes over a
+// disc of half vectors, Gaussian windows of 1 to 4 pixels, 1 to 4 samples): 1.5 times less error than offsets from a net.
+// For one use at a pixel: two of these would go side by side.
 uvec2 lattice_start(ivec2 px, uint use, uint seed) {
     uint key = pcg(use ^ pcg(seed));
     return uvec2(key, pcg(key)) + uint(px.x) * uvec2(3265572727u, 3424507563u) + uint(px.y) * uvec2(681722979u, 1464820930u);

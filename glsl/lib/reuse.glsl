@@ -5,7 +5,7 @@
 // Rays are compared where they cross the distance of the nearest things about, whose outlines are what a blur would show;
 // beyond it everything is far. Rejected: comparing them where they end, which lets the sky shine around the foot of
 // things. And the density is that of the neighbourhood, not of the one lobe that drew the ray (balance heuristic, Veach
-// 1997): half the variance. It is GGX over slopes, averaged over the middle and six places around it.
+// 1997): half the variance. It is GGX over slopes, of the middle and of a ring around it, whose mean is closed.
 #include "lib/brdf.glsl"
 
 uniform usampler2DArray rays;              // of this frame, a layer each: direction; distance; radiance over albedo; count
@@ -17,7 +17,7 @@ const float REUSE_SHARE = 1.6;             // deviation of these over the length
 const float REUSE_PIXELS = 5.0;            // most: as many as there are taps for
 const float REUSE_LEAST = 0.5;             // least, pixels
 const float REUSE_CUT = 2.3;               // deviations, to the farthest
-const float REUSE_RING = 1.6;              // deviations, to the six places: their second moments are those of what is cut
+const float REUSE_RING = 1.6;              // deviations, to the ring: its second moments are those of what is cut
 const float REUSE_FAR = 1.2;               // of the distance of the nearest things: theirs differ
 const float REUSE_ENOUGH = 64.0;           // rays
 const vec2 HEXAGON[6] = vec2[](vec2(1.0, 0.0), vec2(0.5, 0.8660254), vec2(-0.5, 0.8660254), vec2(-1.0, 0.0),
@@ -42,7 +42,7 @@ Reused reuse_rays(ivec2 px, Guide g, vec3 v, float extent, float nearest, float 
     vec2 shift = spacing > 1.0 ? fract(vec2(0.7548777, 0.5698403) * (float(px.x) + 17.0 * float(px.y))) - 0.5 : vec2(0.0);
     ivec2 steps = ivec2(reach / spacing);
 
-    // How much of the neighbourhood is there: on average over the ring, and more to which side.
+    // How much of the neighbourhood is there: over the ring, and on which side more.
     float there_is = 0.0;
     vec2 side = vec2(0.0);
     if (steps != ivec2(0))

@@ -49,12 +49,12 @@ BARS = {
     "prefilter, largest": Bar(0.08, "measured 0.048, beside a lamp 2,000 times brighter; 256 samples were 8.0 off"),
     "half float": Bar(1e-3, "convolutions and the split-sum table are half floats, 2^-11, twice"),
     # test_denoise.py
-    "glossy, 1, RMSE": Bar(0.018, "16 random rays leave 0.038; measured 0.0147 over six seeds"),
-    "glossy, 2, RMSE": Bar(0.014, "measured 0.0117 over six seeds"),
-    "glossy, 4, RMSE": Bar(0.0125, "measured 0.0102 over six seeds"),
-    "glossy, 1, FLIP": Bar(0.029, "measured 0.026 over six seeds; 0.024 takes two frames of one ray"),
-    "glossy, 2, FLIP": Bar(0.024, "what 16 random rays were found to leave, 0.030 in this scene; measured 0.021"),
-    "glossy, 4, FLIP": Bar(0.021, "measured 0.0183 over six seeds"),
+    "glossy, 1, RMSE": Bar(0.016, "16 random rays leave 0.038; measured 0.0138 over four seeds"),
+    "glossy, 2, RMSE": Bar(0.0135, "measured 0.0115 over four seeds"),
+    "glossy, 4, RMSE": Bar(0.0115, "measured 0.0097 over four seeds"),
+    "glossy, 1, FLIP": Bar(0.026, "measured 0.0243 over four seeds"),
+    "glossy, 2, FLIP": Bar(0.0225, "16 random rays leave 0.030; measured 0.0208"),
+    "glossy, 4, FLIP": Bar(0.019, "measured 0.0174 over four seeds"),
     "glossy, moving": Bar(1.05, "error of a frame after eight others over that of one alone; measured 0.70 to 1.024"),
     # test_display.py
     "display step": Bar(0.75, "of 255: half a step is rounding, the rest pow and log2 of a GPU"),
