@@ -113,6 +113,7 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "glTexBufferRange": (None, (_ENUM, _ENUM, _UINT, _OFFSET, _OFFSET)),
     "glTexImage2D": (None, (_ENUM, _INT, _INT, _SIZE, _SIZE, _INT, _ENUM, _ENUM, c_void_p)),
     "glUnmapBuffer": (c_ubyte, (_ENUM,)),
+    "glUseProgram": (None, (_UINT,)),
 }
 
 

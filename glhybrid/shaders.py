@@ -390,7 +390,9 @@ class Shaders:
         return sorted(p.name for p in self._programs.values())
 
     def release(self) -> None:
-        """Frees all programs."""
+        """Frees all programs. Twice is harmless."""
+        if self._programs or self._retired:
+            self._context.raw.glUseProgram(0)  # one in use outlives its release
         for program in (*self._programs.values(), *self._retired):
             program.program.release()
         self._programs.clear()

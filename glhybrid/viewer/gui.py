@@ -248,6 +248,7 @@ class Gui:
         self.io.backend_flags &= ~int(imgui.BackendFlags_.renderer_has_textures)
         imgui.destroy_context(self._imgui_context)
         self._imgui_context = None
+        self._context.raw.glUseProgram(0)  # a program in use outlives its release
         for thing in (*self._own.values(), self._vao, self._vertices, self._indices, self._program):
             thing.release()
         self._own.clear()

@@ -2,6 +2,7 @@
 
 import asyncio
 import base64
+import contextlib
 import io
 import json
 import shutil
@@ -38,8 +39,13 @@ def served(context: Context) -> Iterator[tuple[Viewer, Web]]:
     surface.close()
 
 
-def drive(viewer: Viewer, work: Callable[[], Coroutine[Any, Any, Any]], patience: float = 60.0) -> Any:
-    """Runs a client in a thread while the viewer ticks here, as it does for users."""
+def drive(
+    viewer: Viewer,
+    work: Callable[[], Coroutine[Any, Any, Any]],
+    patience: float = 60.0,
+    between: Callable[[], None] = lambda: None,
+) -> Any:
+    """Runs a client in a thread while the viewer ticks here, as it does for users. between: called after each tick."""
     found: list[Any] = []
 
     def run() -> None:
@@ -52,6 +58,7 @@ def drive(viewer: Viewer, work: Callable[[], Coroutine[Any, Any, Any]], patience
     thread.start()
     while thread.is_alive():
         viewer.tick()
+        between()
     if isinstance(found[0], BaseException):
         raise found[0]
     return found[0]
@@ -91,33 +98,49 @@ def test_only_the_token_opens_it_and_only_from_here(served: tuple[Viewer, Web]) 
 
 def test_frames_come_and_input_goes(served: tuple[Viewer, Web], context: Context) -> None:
     viewer, surface = served
+    sent: list[int] = []  # numbers of the frames that went out
+    surface.sent = sent.append
+    due: list[Callable[[], bool]] = []  # what the client waits for
+    settled = threading.Event()
+
+    def present(image: Any, moving: bool) -> None:
+        surface.tag = viewer.frames
+        Web.present(surface, image, moving)
+
+    def look() -> None:
+        """Between two turns of the viewer: whether what is due has come, is finished, and has gone out."""
+        finished = not viewer.pictures.busy and viewer._dirty == 0
+        if due and due[0]() and finished and sent and sent[-1] == surface.tag:
+            settled.set()
+
+    surface.present = present  # type: ignore[method-assign]
 
     async def client() -> np.ndarray:
         async with aiohttp.ClientSession() as session, session.ws_connect(address(surface), max_msg_size=0) as socket:
             await socket.send_str(json.dumps(["size", SIZE[0] + 32, SIZE[1]]))
-            last = np.zeros((0, 0, 3))
+            last, came = np.zeros((0, 0, 3)), 0
 
             async def frames(enough: Callable[[], bool]) -> None:
-                nonlocal last
-                while True:
-                    try:
-                        message = await asyncio.wait_for(socket.receive(), 0.7)
-                    except TimeoutError:
-                        if enough() and not viewer.pictures.busy:
-                            return
-                        continue
-                    if message.type == aiohttp.WSMsgType.BINARY:
-                        last = pixels(message.data)
-                        await socket.send_str('["ack"]')
+                nonlocal last, came
+                due[:] = [enough]
+                settled.clear()
+                while not settled.is_set() or came < len(sent):
+                    with contextlib.suppress(TimeoutError):
+                        message = await asyncio.wait_for(socket.receive(), 0.1)
+                        if message.type == aiohttp.WSMsgType.BINARY:
+                            last, came = pixels(message.data), came + 1
+                            await socket.send_str('["ack"]')
+                due.clear()
 
-            await frames(lambda: last.shape[:2] == (SIZE[1], SIZE[0] + 32))
+            await frames(lambda: surface.size == (SIZE[0] + 32, SIZE[1]))
+            assert last.shape[:2] == (SIZE[1], SIZE[0] + 32)
             for message in (["move", 40, 80], ["button", 0, True], ["move", 60, 70], ["button", 0, False], "nonsense",
                             ["key", "nonsense", True, False], ["wheel", 1e300, 0]):  # fmt: skip
                 await socket.send_str(json.dumps(message))
             await frames(lambda: viewer.session.pose is not None)
             return last
 
-    got = drive(viewer, client)
+    got = drive(viewer, client, between=look)
     assert not surface.visible  # nobody looks: nothing is drawn
     width, height = SIZE[0] + 32 - WIDTH, SIZE[1]
     with Renderer(context=context) as renderer:
