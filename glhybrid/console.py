@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import json
 import logging
 import sys
 import threading
@@ -148,3 +149,24 @@ def _is_nested(value: object) -> bool:
     if isinstance(value, Mapping):
         return bool(value)
     return isinstance(value, (list, tuple)) and bool(value) and all(isinstance(v, Mapping) for v in value)
+
+
+def say_warnings(warnings: Sequence[str], most: int = 5) -> None:
+    """Of a scene, as log lines: the first `most`, and how many more there are."""
+    log = logging.getLogger("glhybrid")
+    for warning in warnings[:most]:
+        log.warning("%s", warning)
+    if len(warnings) > most:
+        log.warning("and %d more; --json lists them all", len(warnings) - most)
+
+
+def print_json(value: Any) -> None:
+    """One JSON object or array on stdout."""
+    print(json.dumps(value, indent=2, default=_plain))
+
+
+def _plain(value: Any) -> Any:
+    """NumPy scalars and arrays, paths and sets as JSON has them."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    return sorted(value) if isinstance(value, (set, frozenset)) else str(value)
