@@ -251,19 +251,25 @@ def test_progress_waits_a_second_then_draws_by_the_clock(monkeypatch: pytest.Mon
         def isatty(self) -> bool:
             return True
 
-    def drawn(shown: bool, terminal: bool = True) -> str:
+    def drawn(shown: bool, terminal: bool = True, wait_for: tuple[str, str] | None = None) -> str:
         stderr = Terminal() if terminal else io.StringIO()
         monkeypatch.setattr(sys, "stderr", stderr)
+
+        def wait(text: str) -> None:  # as long as it takes: rich is imported first
+            end = time.monotonic() + 30
+            while text not in stderr.getvalue() and time.monotonic() < end:
+                time.sleep(0.02)
+
         with console.progress(shown) as show:
             show("loading", 0, 0)
-            time.sleep(0.3)  # nothing calls back meanwhile
+            wait(wait_for[0]) if wait_for else time.sleep(0.1)  # nothing calls back meanwhile
             show("frames", 2, 4)
-            time.sleep(0.2)
+            wait(wait_for[1]) if wait_for else time.sleep(0.1)
         return stderr.getvalue()
 
     assert drawn(True) == ""  # sooner than the patience of a second
     monkeypatch.setattr(console, "PATIENCE_S", 0.01)
-    text = drawn(True)
+    text = drawn(True, wait_for=("loading", "50%"))
     assert "loading" in text and "frames" in text and "50%" in text
     assert drawn(False) == "" and drawn(True, terminal=False) == ""
 
