@@ -78,7 +78,9 @@ AOVS: dict[str, Aov] = {
     ),
     "reflection": Aov("float32", _RGB, "radiance", "linear Rec. 709", 0, "what the mirror direction shows"),
     "reflection_hit": Aov("float32", ("Z",), "m", "", 0, "length of the mirror ray; +inf: sky; 0: no ray was sent"),
-    "reason": Aov("uint8", ("id",), "code", "", 0, "why a technique gave up at this pixel; 0: it did not"),
+    "reason": Aov("uint8", ("id",), "code", "", 0, "why reflections gave up at this pixel (layout.REASON_*); 0: not"),
+    "reason_shadows": Aov("uint8", ("id",), "code", "", 0, "the same of shadows, of the last light that has a reason"),
+    "reason_ao": Aov("uint8", ("id",), "code", "", 0, "the same of ambient occlusion"),
     "bvh_steps": Aov("uint32", ("Y",), "count", "", 0, "nodes and triangles tested by its shadow and mirror rays"),
 }
 

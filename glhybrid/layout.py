@@ -196,7 +196,7 @@ CONSTANTS: dict[str, int] = {
     "AOV_TRIANGLE_ID": 12, "AOV_MOTION": 13, "AOV_BVH_STEPS": 14,
     # Pixels that send a mirror ray of their own, before what their neighbours do not tell.
     "GRID_FULL": 0, "GRID_HALF": 1, "GRID_CHECKERBOARD": 2,
-    # Why a technique gave up at a pixel (the `reason` AOV).
+    # Why a technique gave up at a pixel (the AOVs `reason`, of reflections, `reason_shadows` and `reason_ao`).
     "REASON_NONE": 0,          # nothing to answer here, or answered
     "REASON_ROUGH": 1,         # too rough to spend a ray
     "REASON_BELOW": 2,         # the direction pointed under the surface and was bent back
@@ -208,6 +208,9 @@ CONSTANTS: dict[str, int] = {
     "REASON_STEPS": 8,         # it ran out of steps
     "REASON_THICKNESS": 9,     # answered by a guess: what is seen there counts as so thick
     "REASON_OUTSIDE_PROBE": 10,  # in no probe's box
+    "REASON_COARSE": 11,       # a shadow's border, which is known to a texel only, and that is larger than the pixel
+    "REASON_SEARCH": 12,       # in a penumbra; the light is larger than what was searched for casters
+    "REASON_SMALL": 13,        # what it looks for is smaller than a pixel
 }  # fmt: skip
 
 PREFILTER_SIZES = (128, 64, 32, 16, 16, 16, 16)  # octahedral map of roughness 1/7, 2/7 .. 1: lobes widen, maps shrink
@@ -374,7 +377,9 @@ CHANNELS: dict[str, Channel] = {
         Channel("denoise_pong", 4, "f4", "rgba32f", ""),
         Channel("radiance", 4, "f4", "rgba32f", "linear Rec. 709 radiance, coverage"),
         Channel("aov", 4, "u4", "rgba32ui", "bits of one AOV"),
-        Channel("reason", 1, "u1", "r8ui", "REASON_*"),
+        Channel("reason", 1, "u1", "r8ui", "REASON_* of reflections"),
+        Channel("reason_shadows", 1, "u1", "r8ui", "REASON_*, of the last light that has one"),
+        Channel("reason_ao", 1, "u1", "r8ui", "REASON_*"),
         Channel("display", 4, "f1", "rgba8", "sRGB-encoded"),
     )
 }

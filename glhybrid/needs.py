@@ -64,7 +64,9 @@ class Features:
     encodes: bool = False  # the composite encodes for the screen, under a given exposure
     emitters: bool = False  # something shines, and rays are sent to it
     terminator: bool = False
-    reason: bool = False
+    reason: bool = False  # why reflections give up, for the AOV
+    reason_shadows: bool = False
+    reason_ao: bool = False
     exact_distance: bool = False  # lengths of reflection rays in double precision, for the AOV
     sphere_proxy: bool = False
     clip_control: bool = True

@@ -45,6 +45,7 @@ OF_SURFACES = (
 OF_PASSES = {
     "visibility": ("", 0, 0, 1), "occlusion": ("occlusion", 0, 1, 1), "reflection": ("reflection", 0, 3, 0),
     "reflection_hit": ("reflection", 3, 1, 0), "reason": ("reason", 0, 1, 0),
+    "reason_shadows": ("reason_shadows", 0, 1, 0), "reason_ao": ("reason_ao", 0, 1, 0),
 }  # fmt: skip
 
 
@@ -160,6 +161,8 @@ class Staged:
         return features.replace(
             bvh_stack=max(upload.stack_entries, upload.stack_needed()) if self.plan.trees else UNUSED_STACK,
             reason="reason" in self.aovs,
+            reason_shadows="reason_shadows" in self.aovs and (features.shadow_maps or features.lightmap),
+            reason_ao="reason_ao" in self.aovs and self.settings.ao == "ssao",
             exact_distance="reflection_hit" in self.aovs,
         )
 
@@ -180,8 +183,8 @@ class Staged:
             return False
         if self.mover is not None and ("motion" in aovs) != ("motion" in self.aovs):
             return False
-        told = ("reason" in aovs, "reflection_hit" in aovs)
-        return told == (self.features.reason, self.features.exact_distance) and not self.outgrown
+        told = ("reason", "reason_shadows", "reason_ao", "reflection_hit")
+        return all((name in aovs) == (name in self.aovs) for name in told) and not self.outgrown
 
     def shares_upload(self, scene: Scene, settings: Settings) -> bool:
         """Whether trees, buffers and what moves them serve these settings too."""
@@ -354,17 +357,21 @@ class Staged:
     def _of_pass(self, name: str) -> Reading[np.ndarray]:
         """One AOV of OF_PASSES."""
         image, first, count, nothing = OF_PASSES[name]
-        shadow, makers = self.passes.shadow, {"occlusion": self.passes.occlusion, "visibility": self.passes.shadow}
+        shadow, occlusion, features = self.passes.shadow, self.passes.occlusion, self.features
+        makers: dict[str, Any] = {
+            "occlusion": occlusion, "reason_ao": occlusion if features.reason_ao else None,
+            "visibility": shadow, "reason_shadows": shadow if features.reason_shadows else None,
+        }  # fmt: skip
         if makers.get(name, self.probe or self.passes.reflect) is None:
             width, height = self.targets.size
             shape = AOVS[name].shape(height, width, len(self.upload.lights))
             return outputs.constant(np.full(shape, nothing, AOVS[name].dtype))
         if name == "visibility" and shadow is not None:
             return outputs.layers(self.targets.get(shadow.channel))
-        if self.probe is not None and name != "occlusion":
+        if self.probe is not None and name not in makers:
             self.probe.run(self.targets, self._ids)
-        if name == "occlusion" and self.passes.occlusion is not None:
-            image = self.passes.occlusion.channel
+        if name == "occlusion" and occlusion is not None:
+            image = occlusion.channel
         return outputs.texels(self.targets.get(image), first, count)
 
     def release(self, keep_upload: bool = False) -> None:

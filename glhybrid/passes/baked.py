@@ -150,6 +150,8 @@ class Baked:
         """All lights in one dispatch: set_lights, which `shadow` needs, is not called."""
         visibility = targets.get(self.channel, layers=len(self._scene.lights))
         resources = {**self._scene.resources, **self.resources, "gbuffer_id": ids, "out_visibility": visibility}
+        if self._features.reason_shadows:
+            resources["out_reason_shadows"] = targets.get("reason_shadows")
         self._program.dispatch(resources, targets.size)
         return visibility
 

@@ -35,6 +35,7 @@ class ShadowMap:
         self, context: Context, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings
     ) -> None:
         self._context, self._scene, self._settings = context, scene, settings
+        self._reason = features.reason_shadows
         self.channel = "visibility_tint" if features.blended else "visibility"
         self._fit = fit = shadow_fit.Fit.of(settings)
         self._owned: list[Any] = []
@@ -145,6 +146,8 @@ class ShadowMap:
         count = len(self._scene.lights)
         visibility = targets.get(self.channel, layers=count)
         resources = {**self._scene.resources, **self.resources, "gbuffer_id": ids, "out_visibility": visibility}
+        if self._reason:
+            resources["out_reason_shadows"] = targets.get("reason_shadows")
         for first in range(0, count, LIGHTS_AT_ONCE):
             if count > LIGHTS_AT_ONCE or first:
                 set_lights(first, min(first + LIGHTS_AT_ONCE, count))

@@ -23,7 +23,7 @@ class Ssao:
         self._planes = shaders.compute("screen_plane", features)
         self._program = shaders.compute("ssao", features)
         self._filter = shaders.compute("ssao_filter", features)
-        self._scene = scene
+        self._scene, self._reason = scene, features.reason_ao
         given = {name: settings.parameter(f"ao.ssao.{name}") for name in ("radius", "slices", "steps")}
         self._uniforms = {"ao_radius": given["radius"], "slices": given["slices"], "steps": given["steps"]}
 
@@ -32,6 +32,7 @@ class Ssao:
         plane, raw, occlusion = (targets.get(name) for name in ("screen_plane", "occlusion_raw", "occlusion"))
         resources = {**self._scene.resources, **self._uniforms, "gbuffer_id": ids, "screen_plane": plane}
         self._planes.dispatch({**resources, "out_plane": plane}, targets.size)
-        self._program.dispatch({**resources, "out_occlusion": raw}, targets.size)
+        told = {"out_reason_ao": targets.get("reason_ao")} if self._reason else {}
+        self._program.dispatch({**resources, **told, "out_occlusion": raw}, targets.size)
         self._filter.dispatch({**resources, "occlusion_raw": raw, "out_occlusion": occlusion}, targets.size)
         return occlusion

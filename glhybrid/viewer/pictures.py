@@ -29,7 +29,7 @@ Side = Literal["a", "b", "reference"]
 LONG_MS = 15.0  # a sample that takes longer is drawn in parts, with looks at the input in between
 GPU_BAND_MS = 10.0  # of such a part on a GPU, whose frames in motion are short too
 SLICE_MS = 25.0  # of samples between two looks at the input, at rest: more than one only where they are cheap
-STAGED_AOVS = ("reason", "motion")  # need programs of their own
+STAGED_AOVS = ("reason", "reason_shadows", "reason_ao", "motion")  # need programs of their own
 SIDES: tuple[Side, ...] = ("a", "b", "reference")
 
 

@@ -27,6 +27,7 @@ NON_FINITE = (255, 0, 255)
 _REASON_COLORS = (
     (60, 64, 70), (120, 134, 150), (224, 122, 62), (92, 168, 224), (214, 88, 140), (126, 190, 92), (232, 200, 80),
     (150, 110, 210), (90, 196, 180), (200, 70, 60), (230, 230, 230), (140, 90, 60),
+    (40, 120, 90), (70, 90, 200),
 )  # fmt: skip
 
 
@@ -77,7 +78,7 @@ def palette(name: str) -> U8:
 
 def colour(name: str, array: NDArray[Any], look: Look) -> tuple[U8, Legend]:
     """An AOV or channel (H, W[, C]) as (H, W, 3) uint8 sRGB, row 0 at the top, and its legend."""
-    if name == "reason":
+    if name.startswith("reason"):
         return _reasons(array)
     if name == "visibility":
         return _visibility(array, look)

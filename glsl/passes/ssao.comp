@@ -8,6 +8,9 @@
 #include "lib/tile.glsl"
 
 layout(r32f) writeonly uniform image2D out_occlusion;    // 1 = open
+#if USE_REASON_AO
+layout(r8ui) writeonly uniform uimage2D out_reason_ao;
+#endif
 uniform int slices, steps;
 uniform float ao_radius;                                 // m
 
@@ -32,11 +35,12 @@ float fast_acos(float x) {
 // Share of the half slice from the view direction to the horizon h, for a normal at angle n: GTAO, equation 7.
 float arc(float h, float n, float cos_n, float sin_n) { return 0.25 * (cos_n + 2.0 * h * sin_n - cos(2.0 * h - n)); }
 
-float open_share(Pixel p, Surface s, ivec2 px) {
+float open_share(Pixel p, Surface s, ivec2 px, out uint reason) {
+    reason = REASON_NONE;
     vec3 v = -p.ray.dir, n_ws = s.bsdf.n;
     vec3 right = normalize(frame.right_ws), up = normalize(frame.up_ws);
     float radius_px = ao_radius / footprint(p.hit.t);
-    if (radius_px < 1.0) return 1.0;                                       // smaller than what the picture resolves
+    if (radius_px < 1.0) { reason = REASON_SMALL; return 1.0; }
     uvec2 start = sequence_start(px, SSAO_SEQUENCE, frame.seed);
     float sum = 0.0, open = 0.0, facing = dot(v, frame.forward_ws) < 0.0 ? -1.0 : 1.0;
     mat3 frame_v = basis(v);
@@ -61,7 +65,7 @@ float open_share(Pixel p, Surface s, ivec2 px) {
                 vec2 offset = float(side) * along_px * max(t * t * radius_px, 1.0 + float(k));
                 vec2 at = vec2(px) + 0.5 + offset;                         // not at a pixel's centre: that is off the slice
                 ivec2 q = ivec2(floor(at));
-                if (any(lessThan(q, ivec2(0))) || any(greaterThanEqual(q, frame.size_px))) break;
+                if (any(lessThan(q, ivec2(0))) || any(greaterThanEqual(q, frame.size_px))) { reason = REASON_OFF_SCREEN; break; }
                 vec4 plane = texelFetch(screen_plane, q, 0);
                 if (plane.w == 0.0) continue;
                 vec3 to = screen_point(q, at - 0.5 - vec2(q), plane) - s.point.position;
@@ -84,9 +88,13 @@ void main() {
     if (any(greaterThanEqual(px, frame.size_px))) return;                  // groups overhang the edge
     Pixel p = load_pixel(px);
     float result = 1.0;
+    uint reason = REASON_NONE;
     if (covered(p)) {
         Surface s = load_surface(p);
-        if (!s.unlit) result = open_share(p, s, px);
+        if (!s.unlit) result = open_share(p, s, px, reason);
     }
     imageStore(out_occlusion, px, vec4(result));
+#if USE_REASON_AO
+    imageStore(out_reason_ao, px, uvec4(reason));
+#endif
 }

@@ -45,13 +45,13 @@ def test_the_table_is_the_documented_contract() -> None:
     assert list(AOVS) == [
         "radiance", "depth", "distance", "position", "normal", "normal_geometric", "albedo", "roughness", "metallic",
         "emissive", "instance_id", "material_id", "triangle_id", "motion", "visibility", "occlusion",
-        "reflection", "reflection_hit", "reason", "bvh_steps",
+        "reflection", "reflection_hit", "reason", "reason_shadows", "reason_ao", "bvh_steps",
     ]  # fmt: skip
     for name, aov in AOVS.items():
         want = {"depth": np.inf, "distance": np.inf, "radiance": None, "occlusion": 1}.get(name, 0)
         assert aov.miss == (0xFFFFFFFF if name.endswith("_id") else want), name
         assert aov.dtype == (
-            "uint8" if name == "reason" else "uint32" if "_id" in name or "steps" in name else "float32"
+            "uint8" if "reason" in name else "uint32" if "_id" in name or "steps" in name else "float32"
         )
         assert aov.meaning and aov.unit
     assert [AOVS[n].channels for n in ("normal", "depth", "albedo", "instance_id")] == [

@@ -10,6 +10,7 @@ from rays import moved, piece, say, scene_of
 
 import glhybrid as gh
 from glhybrid.image import Frame
+from glhybrid.layout import CONSTANTS
 from glhybrid.load.shapes import box
 from glhybrid.scene import Camera, Environment, Image, Instance, Light, Material, Scene, Sphere, Texture
 from glhybrid.timing import Timing
@@ -242,6 +243,23 @@ def test_horizons_fail_off_the_screen_and_behind_thin_things(renderer: gh.Render
     say(f"mean error: {errors}")
     assert errors["ssao, off-screen"] > 0.1 and errors["ssao, thin"] > 0.1, errors
     assert errors["ray, off-screen"] < 0.03 and errors["ray, thin"] < 0.04, errors
+
+
+def test_what_horizons_do_not_know_is_said(renderer: gh.Renderer, context: "Context") -> None:
+    """Walks that leave the picture before their radius ends, so near its sides; and radii under a pixel."""
+    scene, camera = by_the_wall()
+    reasons = {}
+    for radius in (0.1, 1e-4):
+        chosen = gh.Settings(aa=1, shadows="none", reflections="none", ao="ssao", parameters={"ao.ssao.radius": radius})
+        reasons[radius] = renderer.render(scene, camera, (160, 120), chosen, ("reason_ao", "depth"))
+    near, tiny = (reasons[r]["reason_ao"] for r in (0.1, 1e-4))
+    off = near == CONSTANTS["REASON_OFF_SCREEN"]
+    assert off[[0, -1]].mean() > 0.9 and off[:, [0, -1]].mean() > 0.9
+    assert not off[30:-30, 40:-40].any() and ((near == 0) | off).all()
+    seen_there = np.isfinite(reasons[1e-4]["depth"])
+    assert (tiny[seen_there] == CONSTANTS["REASON_SMALL"]).all() and not tiny[~seen_there].any()
+    rays = gh.Settings(aa=1, shadows="none", reflections="none", ao="ray")
+    assert not renderer.render(scene, camera, (32, 24), rays, ("reason_ao",))["reason_ao"].any()
 
 
 @pytest.mark.parametrize("primary", ["raster", "trace"])

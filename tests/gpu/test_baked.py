@@ -20,6 +20,7 @@ from glhybrid import content_cache
 from glhybrid.bake import Bake
 from glhybrid.errors import SettingError
 from glhybrid.image import Frame
+from glhybrid.layout import CONSTANTS
 from glhybrid.load.shapes import box, torus
 from glhybrid.passes.baked import Baked
 from glhybrid.scene import (
@@ -133,6 +134,18 @@ def test_the_error_falls_with_texels(renderer: gh.Renderer, context: "Context") 
     say(f"wrong shadow, %: {found}")
     assert found[0] < 2 and found[2] < 0.4
     assert all(1.5 < a / b < 3 for a, b in itertools.pairwise(found)), found
+
+
+def test_a_coarse_border_is_said(renderer: gh.Renderer, context: "Context") -> None:
+    """Where texels are larger than pixels, and nowhere else."""
+    scene, camera, _ = posts()
+    for texels, size, some in ((4, SIZE, True), (40, (32, 24), False)):
+        chosen = settings(texels=float(texels))
+        frame = renderer.render(scene, camera, size, chosen, ("visibility", "reason_shadows"))
+        coarse, lit = frame["reason_shadows"] == CONSTANTS["REASON_COARSE"], frame["visibility"][..., 0]
+        border = (lit > 0) & (lit < 1)
+        assert border.any() and coarse.any() == some and not coarse[~border].any()
+        assert not some or coarse[border].mean() > 0.99
 
 
 def test_light_leaks_by_a_row_of_texels_and_no_more(renderer: gh.Renderer, context: "Context") -> None:

@@ -15,6 +15,7 @@ from shadow_scenes import FACING, WHITE, exact_visibility, facing, half_plane, p
 import glhybrid as gh
 from glhybrid.errors import SettingError
 from glhybrid.image import Frame
+from glhybrid.layout import CONSTANTS
 from glhybrid.load.shapes import box
 from glhybrid.passes.shadow_map import ShadowMap
 from glhybrid.scene import (
@@ -429,3 +430,38 @@ def test_maps_hold_at_any_place_and_scale(renderer: gh.Renderer, context: "Conte
         change = float((np.abs(away["visibility"][..., 0] - home) > 0.5).mean())
         say(f"{technique} at {place:g} m, scale {size:g}: {100 * change:.4f} % of pixels change")
         assert change < 2e-3, (place, size, change)
+
+
+@pytest.mark.parametrize(("technique", "told"), [("map", 0.95), ("pcf", 0.95), ("csm", 0.4)])
+def test_a_coarse_border_is_said(renderer: gh.Renderer, context: "Context", technique: str, told: float) -> None:
+    """Where texels are larger than pixels nearly all that is wrong has a reason, and little else; else nothing has.
+
+    csm: half of its few wrong pixels lie where texels are as fine as pixels.
+    """
+    scene, camera, _ = posts()
+    right = seen(renderer, scene, camera, S1, "ray")["visibility"][..., 0] > 0.5
+
+    def reasons(resolution: int) -> tuple[Any, Any]:
+        chosen = settings(technique, {"resolution": resolution})
+        frame = renderer.render(scene, camera, S1, chosen, ("visibility", "reason_shadows"))
+        return frame["reason_shadows"], (frame["visibility"][..., 0] > 0.5) != right
+
+    code, wrong = reasons(512)
+    coarse = code == CONSTANTS["REASON_COARSE"]
+    assert ((code == 0) | coarse).all() and wrong.sum() > 200
+    assert coarse[wrong].mean() > told and coarse.mean() < 0.12, (coarse[wrong].mean(), coarse.mean())
+    assert not reasons(4096)[0].any()
+    for other in ("none", "ray"):
+        frame = renderer.render(scene, camera, (64, 48), settings(other), ("reason_shadows",))
+        assert not frame["reason_shadows"].any()
+
+
+def test_a_cut_search_is_said(renderer: gh.Renderer, context: "Context") -> None:
+    """In the penumbra alone, and only where the light is wider than what is searched."""
+    scene, camera = half_plane(4.0, 0.05)
+    for search, cut in ((4.0, True), (64.0, False)):
+        chosen = settings("pcss", {"search": search, "resolution": 512})
+        frame = renderer.render(scene, camera, (64, 16), chosen, ("visibility", "reason_shadows"))
+        penumbra = (frame["visibility"][..., 0] > 0) & (frame["visibility"][..., 0] < 1)
+        assert penumbra.any()
+        assert ((frame["reason_shadows"] == CONSTANTS["REASON_SEARCH"]) == (penumbra & cut)).all()
