@@ -51,6 +51,7 @@ class MovedTree(NamedTuple):
 
 class GpuScene:
     """Owns the GL objects of one scene. motion: what will move. rebuild: as Settings.rebuild, for the top-level tree.
+    builder: as Settings.builder.
 
     Trees are there if `geometry` has them, else from add_trees() on.
     """
@@ -63,6 +64,7 @@ class GpuScene:
         features: Features,
         motion: Motion | None = None,
         rebuild: float = 1.5,
+        builder: str = "auto",
     ) -> None:
         self._context = context
         self._owned: list[Any] = []
@@ -83,7 +85,7 @@ class GpuScene:
         self._instances = self._instance_rows()
         self._place(0, count)
         self.trees: GpuTrees | None = None
-        self._make_trees = (features.two_level, motion, rebuild)
+        self._make_trees = (features.two_level, motion, rebuild, builder)
         if all(m.tree is not None for m in geometry.meshes):
             self.add_trees(geometry)
         elif features.buffer_array:  # programs that send no ray name trees all the same: see lib/buffers.glsl
@@ -108,14 +110,16 @@ class GpuScene:
 
     def add_trees(self, geometry: Geometry) -> None:
         """Readies the scene for rays. geometry: the same with the trees of its meshes (geometry.grow_trees)."""
-        two_level, motion, rebuild = self._make_trees
+        two_level, motion, rebuild, builder = self._make_trees
         self.geometry = geometry
         deforming = {self.mesh_of_instance(d.instances[0]) for d in motion.deformers} if motion is not None else set()
         if geometry.meshes:
             self._bounds = np.array([m.blas.bounds for m in geometry.meshes])
             self._place(0, len(self._world))
         boxes = self._boxes if two_level and geometry.meshes else None
-        self.trees = GpuTrees(self._texels, geometry, boxes, deforming, motion is not None, rebuild, self.scene.name)
+        on_gpu = rebuild != 0 and (builder == "gpu" or (builder == "auto" and not self._context.device.software))
+        given = (deforming, motion is not None, rebuild, self.scene.name, on_gpu)
+        self.trees = GpuTrees(self._texels, geometry, boxes, *given)
         if geometry.meshes:
             mesh, rows = geometry.instance_mesh, self._instances
             rows["grid_min"] = np.stack([m.blas.grid_min for m in geometry.meshes])[mesh]

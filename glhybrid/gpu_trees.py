@@ -12,6 +12,7 @@ import numpy as np
 from glhybrid import bvh, layout
 from glhybrid.bvh import Blas, Tlas
 from glhybrid.bvh.fragments import LEAF
+from glhybrid.bvh.merging import merging
 from glhybrid.errors import GeometryError
 from glhybrid.geometry import Geometry
 from glhybrid.gl import BufferTexture
@@ -30,8 +31,8 @@ class GpuTrees:
     """Owns no GL object: `texels` uploads rows (N, 4 k) uint32 under a name, for whoever frees them.
 
     boxes: (I, 2, 3) float64, world, of the instances, for a top-level tree; None: there is one mesh and no such tree.
-    deforming: rows of geometry.meshes whose trees may be built anew, and have room for it. rebuild: growth of the
-    top-level tree's SAH cost that has it built anew, as Settings.rebuild.
+    deforming: rows of geometry.meshes whose trees may be built anew, and have room for it; on_gpu: that is where.
+    rebuild: growth of the top-level tree's SAH cost that has it built anew, as Settings.rebuild.
     """
 
     def __init__(
@@ -43,11 +44,17 @@ class GpuTrees:
         moving: bool,
         rebuild: float,
         name: str,
+        on_gpu: bool = False,
     ) -> None:
-        self._geometry, self._name, self._rebuild = geometry, name, rebuild
+        self._geometry, self._name, self._rebuild, self.on_gpu = geometry, name, rebuild, on_gpu
         blases = [m.blas for m in geometry.meshes]
         self._depth = [b.depth for b in blases]
-        nodes, slots, self.roots = bvh.pack([_roomy(b) if row in deforming else b for row, b in enumerate(blases)])
+        room = {row: len(blases[row].slots) for row in deforming if row >= 0}
+        if on_gpu:
+            plans = {row: merging(triangles) for row, triangles in room.items()}
+            self._depth = [max(d, plans[row].depth) if row in plans else d for row, d in enumerate(self._depth)]
+            room = {row: plan.nodes for row, plan in plans.items()}
+        nodes, slots, self.roots = bvh.pack([_roomy(b, room.get(row, 0)) for row, b in enumerate(blases)])
         # Slots name triangles by their place in the mesh; hits carry the row of the whole table.
         slots = slots.copy()
         slots[:, 3] += np.repeat(
@@ -56,6 +63,7 @@ class GpuTrees:
         slots[:, 7] |= _slot_flags(geometry, slots[:, 7])
         ends = np.cumsum([0, *(len(b.slots) for b in blases)]).tolist()
         self._slot_first, self._node_first = ends, [*self.roots.tolist(), len(nodes)]
+        self.items = {row: slots[ends[row] : ends[row + 1], [3, 7]] for row in room if on_gpu}
         self._slot_words = {row: _by_geometry(slots[ends[row] : ends[row + 1], 7]) for row in deforming if row >= 0}
         self.top: Tlas | None = None
         self.top_root = 0  # row of nodes
@@ -128,6 +136,10 @@ class GpuTrees:
         """How many nodes a mesh's tree may have."""
         return int(self._node_first[mesh + 1] - self._node_first[mesh])
 
+    def slot_first(self, mesh: int) -> int:
+        """Row of slots of a mesh's first."""
+        return int(self._slot_first[mesh])
+
     def replace(self, mesh: int, blas: Blas) -> None:
         """Another tree over the same triangles, which it names by their place in the mesh."""
         root, slot = self.node_first(mesh), self._slot_first[mesh]
@@ -171,10 +183,10 @@ def _slot_flags(geometry: Geometry, numbers: U32) -> U32:
     return np.concatenate([*tables, np.zeros(0, np.uint32)])[rows]
 
 
-def _roomy(blas: Blas) -> Blas:
-    """With as many nodes as any tree over its triangles may have, the last ones not in use."""
-    spare = max(len(blas.slots) - len(blas.nodes), 0)
-    return replace(blas, nodes=np.concatenate([blas.nodes, np.zeros((spare, 8), np.uint32)]))
+def _roomy(blas: Blas, room: int) -> Blas:
+    """With room for so many nodes, the last ones not in use."""
+    spare = max(room - len(blas.nodes), 0)
+    return replace(blas, nodes=np.concatenate([blas.nodes, np.zeros((spare, 8), np.uint32)])) if spare else blas
 
 
 def _by_geometry(words: U32) -> U32:

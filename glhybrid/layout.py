@@ -137,6 +137,29 @@ STRUCTS: dict[str, list[Row]] = {
         ("vec3", "grid_min", "of the Blas, object space"),
         ("float", "pad", "m that boxes are wider on every side"),
         ("vec3", "grid_step", ""),
+        ("uint", "node_first", "row of nodes of its root"),
+        ("uvec2", "axes", "that the bits of Morton codes halve, the topmost first, two bits each"),
+        ("uint", "key_bits", "of a Morton code"),
+        ("uint", "entry_first", "row of refit_nodes of its root"),
+    ],
+    "BuildItem": [  # a triangle of a tree that the GPU builds
+        ("uint", "triangle", "row of triangles"),
+        ("uint", "geometry", "word of its slot: geometry and SLOT_*"),
+        ("uint", "tree", "row of refit_trees"),
+    ],
+    "BuildChunk": [  # what one work group merges
+        ("uint", "tree", "row of refit_trees"),
+        ("uint", "first", "row of sorted pairs, or of clusters"),
+        ("uint", "count", "of those, at most MERGE_WIDTH"),
+        ("uint", "kept", "clusters that may be left"),
+        ("uint", "free_turns", "that merge nearest pairs"),
+        ("uint", "turns", "at most"),
+        ("uint", "node_first", "in the tree, of the nodes made here"),
+        ("uint", "node_count", "room for them"),
+        ("uint", "out_first", "row of clusters for what is left"),
+        ("uint", "slot_first", "row of slots for its triangles"),
+        ("uint", "leaves", "1 = of triangles, not of clusters"),
+        ("uint", "root", "1 = the last one is the root"),
     ],
     # A depth map in its tile of the atlas: texels are (right, up) / texel - first_texel, depth is along axis - start.
     "ShadowMap": [
@@ -190,6 +213,8 @@ CONSTANTS: dict[str, int] = {
     **{f"SLOT_{slot.upper()}": i for i, slot in enumerate(TEXTURE_SLOTS)},
     # Of paths on their way (lib/path.glsl): to a row of their image; texels of one, and of a light it looks for; lists.
     "PATH_WIDTH": 2048, "PATH_PARTS": 5, "PATH_LIGHT_PARTS": 4, "PATH_LISTS": 4,
+    # Of trees over moved vertices: clusters that a work group merges; in place of a parent.
+    "MERGE_WIDTH": 1024, "REFIT_ROOT": 0xFFFFFFFE,
     # What passes/aov.comp writes, by the names of glhybrid/image.py.
     "AOV_DEPTH": 1, "AOV_DISTANCE": 2, "AOV_POSITION": 3, "AOV_NORMAL": 4, "AOV_NORMAL_GEOMETRIC": 5, "AOV_ALBEDO": 6,
     "AOV_ROUGHNESS": 7, "AOV_METALLIC": 8, "AOV_EMISSIVE": 9, "AOV_INSTANCE_ID": 10, "AOV_MATERIAL_ID": 11,

@@ -1,4 +1,4 @@
-"""Trees over moved vertices: boxes refitted in compute, level by level, or built anew where they have degraded."""
+"""Trees over moved vertices: boxes refitted in compute, or built anew where they have degraded: see rebuild.py."""
 
 from typing import Any
 
@@ -7,10 +7,12 @@ import numpy as np
 from glhybrid import bvh, layout
 from glhybrid.bvh.blas import PAD, Blas
 from glhybrid.bvh.fragments import LEAF, make_grid
+from glhybrid.bvh.merging import key_axes
 from glhybrid.context import Context
 from glhybrid.gpu_scene import GpuScene, MovedTree
 from glhybrid.motion import Shape
 from glhybrid.needs import Features
+from glhybrid.passes.rebuild import Rebuild
 from glhybrid.readback import Piece, Reading, Ring, at_once
 from glhybrid.scene import F64, U32
 from glhybrid.shaders import Shaders
@@ -23,7 +25,7 @@ class Refit:
     """Keeps the trees of some meshes true to their vertices.
 
     meshes: rows of geometry.meshes. rebuild: once the SAH cost has grown by this factor since the last build; 1 = every
-    frame (Kim), 0 = never.
+    frame (Kim), 0 = never. The GPU builds, all trees at once, where GpuTrees.on_gpu; else the CPU, after reading back.
     """
 
     name = "refit"
@@ -35,84 +37,118 @@ class Refit:
         self._gl, self._scene, self._held = context.gl, scene, scene.trees
         self.meshes = meshes
         self._rebuild = rebuild
-        self._blas = {m: scene.geometry.meshes[m].blas for m in meshes}
-        self._step = {m: self._blas[m].grid_step for m in meshes}
-        self._built_cost = {m: self._blas[m].sah_cost for m in meshes}
+        blases = [scene.geometry.meshes[m].blas for m in meshes]
+        self._step = [b.grid_step for b in blases]
+        self._nodes = [len(b.nodes) for b in blases]  # rows that a tree takes
+        self._built_cost: list[float | None] = [b.sah_cost for b in blases]  # None: not read back yet
         self._age = 0
         self._ring = Ring(context, 1)
         self.rebuilt = 0  # trees, since the scene was loaded
         self._program = shaders.compute("refit", features)
+        room = [self._held.node_capacity(m) for m in meshes]
+        self._entries = np.cumsum([0, *room]).tolist()  # rows of refit_nodes
+        total = self._entries[-1]
         self._trees = np.zeros(len(meshes), layout.dtype("RefitTree"))
-        buffers = {name: scene.resources[key].buffer for name, key in (
+        self._trees["node_first"] = [self._held.node_first(m) for m in meshes]
+        self._trees["entry_first"] = self._entries[:-1]
+        self._owned = {
+            "RefitTrees": self._gl.buffer(reserve=self._trees.nbytes), "RefitNodes": self._gl.buffer(reserve=8 * total),
+            "Arrived": self._gl.buffer(bytes(4 * total)),
+        }  # fmt: skip
+        self._resources: dict[str, Any] = {name: scene.resources[key].buffer for name, key in (
             ("Triangles", "triangles"), ("Vertices", "vertices"), ("Nodes", "nodes"), ("Slots", "slots"))}  # fmt: skip
-        self._tree_buffer = self._gl.buffer(reserve=self._trees.nbytes)
-        capacity = sum(self._held.node_capacity(m) for m in meshes)
-        self._order_buffer = self._gl.buffer(reserve=8 * capacity)
-        self._resources: dict[str, Any] = buffers | {"RefitTrees": self._tree_buffer, "RefitOrder": self._order_buffer}
-        self._levels: list[tuple[int, int]] = []
-        self._order()
+        self._resources |= self._owned | {"refit_total": total}
+        for tree, blas in enumerate(blases):
+            self._link(tree, blas)
+        self._builder: Rebuild | None = None
+        if self._held.on_gpu:
+            self._builder = Rebuild(context, shaders, features, self._held, meshes, self._resources)
+            self._trees["key_bits"] = self._builder.key_bits
 
     def run(self, shapes: list[Shape]) -> dict[int, MovedTree]:
         """New boxes for every mesh, in the order of `meshes`; returns what the instances must know of them."""
         moved = {}
-        for row, mesh, shape in zip(self._trees, self.meshes, shapes, strict=True):
+        for tree, (row, mesh, shape) in enumerate(zip(self._trees, self.meshes, shapes, strict=True)):
             largest = float(np.abs(shape.bounds).max())
             grid_min, grid_step = make_grid(shape.bounds[0], shape.bounds[1], PAD * largest)
             row["grid_min"], row["grid_step"], row["pad"] = grid_min, grid_step, 1.6 * PAD * largest
-            moved[mesh], self._step[mesh] = MovedTree(grid_min, grid_step, shape.bounds), grid_step
-        self._tree_buffer.write(self._trees)
+            moved[mesh], self._step[tree] = MovedTree(grid_min, grid_step, shape.bounds), grid_step
+        if self._builder is not None:
+            self._trees["axes"] = key_axes(self._trees["grid_step"], self._builder.key_bits)
+        self._owned["RefitTrees"].write(self._trees)
         if self._rebuild == 1:
-            for mesh in self.meshes:
-                moved[mesh] = self._build(mesh)
-            return moved
+            return moved | self._build(range(len(self.meshes)))
         self.refit()
         self._age += 1
         if self._rebuild and self._age % CHECK_EVERY == 1:
-            self._ring.send([self._reading(mesh) for mesh in self.meshes])
+            self._ring.send([self._reading(tree) for tree in range(len(self.meshes))])
         elif len(self._ring) and self._age % CHECK_EVERY == 1 + WAIT:
-            for mesh, cost in zip(self.meshes, self._ring.take(), strict=True):
-                if cost > self._rebuild * self._built_cost[mesh]:
-                    moved[mesh] = self._build(mesh)
-                    self._built_cost[mesh] = self._blas[mesh].sah_cost
+            costs = self._ring.take()
+            self._built_cost = [c if b is None else b for b, c in zip(self._built_cost, costs, strict=True)]
+            pairs = enumerate(zip(self._built_cost, costs, strict=True))
+            worse = [tree for tree, (built, cost) in pairs if built is not None and cost > self._rebuild * built]
+            moved |= self._build(worse)
         return moved
 
     def sah_cost(self, mesh: int) -> float:
         """Of the tree as it stands on the GPU, in the terms of Blas.sah_cost. Waits for it."""
-        return at_once(self._reading(mesh))
+        return at_once(self._reading(self.meshes.index(mesh)))
 
-    def _reading(self, mesh: int) -> Reading[float]:
-        first, count, step = self._held.node_first(mesh), len(self._blas[mesh].nodes), self._step[mesh]
+    def _reading(self, tree: int) -> Reading[float]:
+        first, count = self._held.node_first(self.meshes[tree]), self._nodes[tree]
+        step = self._step[tree].astype(np.float64)
         data = yield Piece(self._scene.resources["nodes"].buffer, first * 32, count * 32)
-        return sah_cost(np.frombuffer(data, np.uint32).reshape(-1, 8), step.astype(np.float64))
+        return sah_cost(np.frombuffer(data, np.uint32).reshape(-1, 8), step)
 
     @property
     def bytes(self) -> int:
-        return int(self._tree_buffer.size + self._order_buffer.size + self._ring.bytes)
+        own = sum(buffer.size for buffer in self._owned.values()) + self._ring.bytes
+        return int(own + (self._builder.bytes if self._builder is not None else 0))
 
     def release(self) -> None:
         self._ring.release()
-        self._tree_buffer.release()
-        self._order_buffer.release()
+        for buffer in self._owned.values():
+            buffer.release()
+        self._owned.clear()
+        if self._builder is not None:
+            self._builder.release()
 
     @property
     def nodes(self) -> int:
-        """Of all trees."""
-        return sum(count for _, count in self._levels)
+        """Rows of all trees; of those that the GPU built, some are not in use."""
+        return sum(self._nodes)
 
     @property
     def dispatches(self) -> int:
-        """Of one refit: as many as the trees have levels."""
-        return len(self._levels)
+        """Of one refit."""
+        return 1
 
     def refit(self) -> None:
         """New boxes, on the grids that run() gave last."""
-        for first, count in self._levels:
-            resources = {**self._resources, "refit_first": first, "refit_count": count}
-            self._program.dispatch(resources, (min(count, 65536), -(-count // 65536)), (64, 1))
+        total = self._entries[-1]
+        self._program.dispatch(self._resources, (min(total, 65536), -(-total // 65536)), (64, 1))
 
-    def _build(self, mesh: int) -> MovedTree:
+    def build(self) -> None:
+        """All trees anew, where the GPU builds, on the grids that run() gave last."""
+        assert self._builder is not None
+        self._builder.run()
+
+    def _build(self, trees: Any) -> dict[int, MovedTree]:
+        """Some trees anew; of them, what is other than run() gave it."""
+        if not trees:
+            return {}
+        if self._builder is None:
+            self.rebuilt += len(trees)
+            return {self.meshes[tree]: self._build_on_cpu(tree) for tree in trees}
+        self._builder.run()
+        self.rebuilt += len(self.meshes)
+        self._nodes = [self._held.node_capacity(mesh) for mesh in self.meshes]
+        self._built_cost = [None] * len(self.meshes)
+        return {}
+
+    def _build_on_cpu(self, tree: int) -> MovedTree:
         """Reads the vertices back and builds the tree over them."""
-        geometry = self._scene.geometry
+        geometry, mesh = self._scene.geometry, self.meshes[tree]
         data = geometry.meshes[mesh]
         count = sum(n for _, n in data.geometries)
         rows = geometry.triangles[data.first_triangle : data.first_triangle + count]
@@ -120,33 +156,27 @@ class Refit:
         buffer = self._scene.resources["vertices"].buffer
         vertices = np.frombuffer(buffer.read((last - first + 1) * 32, offset=first * 32), np.float32).reshape(-1, 8)
         blas = bvh.build_blas(vertices[rows[:, :3] - first, :3], geometry=rows[:, 3].copy())
-        self._blas[mesh], self._step[mesh] = blas, blas.grid_step
+        self._step[tree], self._nodes[tree], self._built_cost[tree] = blas.grid_step, len(blas.nodes), blas.sah_cost
         self._held.replace(mesh, blas)
-        self._order()
-        self.rebuilt += 1
+        self._link(tree, blas)
         return MovedTree(blas.grid_min, blas.grid_step, blas.bounds)
 
-    def _order(self) -> None:
-        """Nodes of all trees by level, the deepest level first."""
-        levels: dict[int, list[U32]] = {}
-        for tree, mesh in enumerate(self.meshes):
-            first = self._held.node_first(mesh)
-            for depth, nodes in enumerate(levels_of(self._blas[mesh])):
-                pairs = np.column_stack([nodes + first, np.full(len(nodes), tree)]).astype(np.uint32)
-                levels.setdefault(depth, []).append(pairs)
-        parts = [np.concatenate(levels[depth]) for depth in sorted(levels, reverse=True)]
-        ends = np.cumsum([len(p) for p in parts])
-        self._levels = [(int(end) - len(p), len(p)) for p, end in zip(parts, ends, strict=True)]
-        self._order_buffer.write(np.concatenate(parts))
+    def _link(self, tree: int, blas: Blas) -> None:
+        """Tells every node of a tree that the CPU built its parent."""
+        first, end = self._entries[tree : tree + 2]
+        rows = np.full((end - first, 2), (layout.CONSTANTS["ID_NONE"], tree), np.uint32)
+        rows[: len(blas.nodes), 0] = parents_of(blas.nodes, self._held.node_first(self.meshes[tree]))
+        self._owned["RefitNodes"].write(rows, offset=8 * first)
 
 
-def levels_of(blas: Blas) -> list[np.ndarray]:
-    """(N,) int64 rows of nodes, an array a depth, the root first."""
-    refs = blas.nodes[:, 3::4]
-    levels = [np.zeros(1, np.int64)]
-    while len(below := refs[levels[-1]][refs[levels[-1]] < LEAF]):
-        levels.append(below.astype(np.int64))
-    return levels
+def parents_of(nodes: U32, first: int = 0) -> U32:
+    """(N,) uint32 of each node: 2 * parent + side, counted from `first`; REFIT_ROOT for the root."""
+    refs = nodes[:, 3::4]
+    parent, side = np.nonzero(refs < LEAF)
+    found = np.zeros(len(nodes), np.uint32)
+    found[refs[parent, side]] = 2 * (parent + first) + side
+    found[0] = layout.CONSTANTS["REFIT_ROOT"]
+    return found
 
 
 def sah_cost(nodes: U32, grid_step: F64) -> float:
