@@ -152,6 +152,7 @@ STRUCTS: dict[str, list[Row]] = {
         ("uint", "first", "row of sorted pairs, or of clusters"),
         ("uint", "count", "of those, at most MERGE_WIDTH"),
         ("uint", "kept", "clusters that may be left"),
+        ("uint", "highest", "nodes above one another that nearest pairs make"),
         ("uint", "free_turns", "that merge nearest pairs"),
         ("uint", "turns", "at most"),
         ("uint", "node_first", "in the tree, of the nodes made here"),

@@ -15,7 +15,9 @@ import numpy as np
 from glhybrid import layout
 
 WIDTH = layout.CONSTANTS["MERGE_WIDTH"]  # clusters in one work group
-KEPT = 8  # one of so many goes to the next level
+import os
+CAP=int(os.environ.get('CAP','2')); CAP1=int(os.environ.get('CAP1','1'))
+KEPT = int(os.environ.get('KEPT','8'))  # one of so many goes to the next level
 
 
 class Merging(NamedTuple):
@@ -39,9 +41,9 @@ def merging(triangles: int, tree: int = 0, item_first: int = 0, slot_first: int 
         rows["leaves"], rows["root"], rows["slot_first"] = not levels, groups == 1, slot_first + ends[:-1]
         rows["kept"] = 1 if groups == 1 else -(-rows["count"].astype(np.int64) // KEPT)
         halvings = int(np.ceil(np.log2(np.maximum(rows["count"] / rows["kept"], 1))).max())
-        rows["free_turns"] = 2 * halvings + 1  # nearest pairs leave about 0.6 of what was there
-        rows["turns"] = rows["free_turns"] + halvings
-        depth += int(rows["turns"][0])
+        rows["free_turns"], rows["highest"] = 48, CAP * halvings + CAP1
+        rows["turns"] = rows["free_turns"] + halvings + 1
+        depth += int(rows["highest"][0]) + halvings
         # The last turn began with more than `kept`, and left half of them at least; the root has its own place.
         most = rows["count"].astype(np.int64) - np.where(rows["root"] == 1, 2, (rows["kept"] + 2) // 2)
         rows["node_count"] = np.maximum(most, 0)

@@ -27,16 +27,19 @@ shared uint box_x[MERGE_WIDTH], box_y[MERGE_WIDTH], box_z[MERGE_WIDTH];
 shared uint refs[MERGE_WIDTH];                                         // of leaves under way: LEAF | first triangle << 4 | count
 shared uint next_triangle[MERGE_WIDTH];                                // of a leaf under way
 shared uint partner[MERGE_WIDTH];
+shared uint height[MERGE_WIDTH];                                       // nodes made here on the longest way down
 shared uint bits[64];                                                  // a bit a thread: who stays; who makes a node
 shared uint live, made, slots_taken;
+shared bool as_they_come;                                              // pairs from now on
 
 uvec3 box_of(uint i) { return uvec3(box_x[i], box_y[i], box_z[i]); }
 
-void put(uint i, uvec3 box, uint ref) {
+void put(uint i, uvec3 box, uint ref, uint nodes_down) {
     box_x[i] = box.x;
     box_y[i] = box.y;
     box_z[i] = box.z;
     refs[i] = ref;
+    height[i] = nodes_down;
 }
 
 float half_area(uvec3 box, vec3 scale) {
@@ -59,12 +62,14 @@ uint bits_set(uint word) {
 
 // With whom a cluster makes the smallest box. Of equals the one whose number differs in the lowest bits: an order of pairs
 // that both ends agree on, so that each turn merges at least one, and of many equals half.
-uint nearest(uint i, uint count, vec3 scale) {
+// highest: what is so high merges no more; itself if nobody is left.
+uint nearest(uint i, uint count, uint highest, vec3 scale) {
     uvec3 box = box_of(i);
     float least = 3e38;
     uint best = i;
+    if (height[i] >= highest) return i;
     for (uint j = max(i, REACH) - REACH; j < min(i + REACH + 1u, count); j++) {
-        if (j == i) continue;
+        if (j == i || height[j] >= highest) continue;
         float area = half_area(merged(box, box_of(j)), scale);
         if (area < least || (area == least && (i ^ j) < (i ^ best))) {
             least = area;
@@ -110,13 +115,16 @@ void main() {
         }
     }
     if (i < 64u) bits[i] = 0u;
-    if (i == 0u) made = slots_taken = 0u;
+    if (i == 0u) {
+        made = slots_taken = 0u;
+        as_they_come = false;
+    }
     memoryBarrierShared();
     barrier();
     if (own.w != ID_NONE) atomicOr(bits[i >> 5u], 1u << (i & 31u));
     memoryBarrierShared();
     barrier();
-    if (own.w != ID_NONE) put(rank(0u, i), own.xyz, own.w);
+    if (own.w != ID_NONE) put(rank(0u, i), own.xyz, own.w, 0u);
     if (i == 0u) live = bits_set(0u);
     memoryBarrierShared();
     barrier();
@@ -126,7 +134,7 @@ void main() {
         if (count <= chunk.kept) break;
         uint other = i;
         if (i < count) {
-            if (turn < chunk.free_turns) other = nearest(i, count, scale);
+            if (!as_they_come) other = nearest(i, count, chunk.highest, scale);
             else if ((i ^ 1u) < count) other = i ^ 1u;
             partner[i] = other;
         }
@@ -137,7 +145,7 @@ void main() {
         bool makes = paired && i < other, stays = i < count && (makes || !paired);
         bool roots = count == 2u && chunk.root == 1u, joins = false;
         uvec3 a = box_of(i), b = box_of(other), box = merged(a, b);
-        uint a_ref = refs[i], b_ref = refs[other];
+        uint a_ref = refs[i], b_ref = refs[other], nodes_down = height[i], b_nodes_down = height[other];
         if (makes && leaves && (a_ref & b_ref & LEAF) != 0u && (a_ref & 15u) + (b_ref & 15u) <= MAX_LEAF) {
             float apart = half_area(a, scale) * float(a_ref & 15u) + half_area(b, scale) * float(b_ref & 15u);
             joins = half_area(box, scale) * float((a_ref & 15u) + (b_ref & 15u) - 1u) <= apart;
@@ -160,13 +168,15 @@ void main() {
             set_parent(a_ref, tree, node, 0u);
             set_parent(b_ref, tree, node, 1u);
             a_ref = node;
+            nodes_down = max(nodes_down, b_nodes_down) + 1u;
         }
-        if (stays) put(rank(0u, i), makes ? box : a, a_ref);
+        if (stays) put(rank(0u, i), makes ? box : a, a_ref, nodes_down);
         memoryBarrierShared();
         barrier();
         if (i == 0u) {
             live = bits_set(0u);
             made += bits_set(32u);
+            as_they_come = turn + 1u >= chunk.free_turns || live == count || as_they_come;
         }
         memoryBarrierShared();
         barrier();
