@@ -16,7 +16,7 @@ from glhybrid.geometry import Geometry
 from glhybrid.gl import BufferTexture
 from glhybrid.gpu_trees import EMPTY_TREE, GpuTrees
 from glhybrid.keys import MANY
-from glhybrid.levels import drawn_and_stored
+from glhybrid.levels import builds_on_gpu, drawn_and_stored
 from glhybrid.motion import Moment, Motion
 from glhybrid.needs import Features
 from glhybrid.scene import F32, F64, SRGB_SLOTS, TEXTURE_SLOTS, Light, Material, Scene
@@ -117,7 +117,7 @@ class GpuScene:
             self._bounds = np.array([m.blas.bounds for m in geometry.meshes])
             self._place(0, len(self._world))
         boxes = self._boxes if two_level and geometry.meshes else None
-        on_gpu = rebuild != 0 and (builder == "gpu" or (builder == "auto" and not self._context.device.software))
+        on_gpu = builds_on_gpu(rebuild, builder, self._context.device.software)
         given = (deforming, motion is not None, rebuild, self.scene.name, on_gpu)
         self.trees = GpuTrees(self._texels, geometry, boxes, *given)
         if geometry.meshes:

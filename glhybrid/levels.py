@@ -83,3 +83,8 @@ def _lost_detail(scene: Scene) -> float:
             length = (corner.max(1) - corner.min(1)).max(1, initial=0)
             smallest = min(smallest, scale * float(length.min(initial=np.inf, where=length > 0)))
     return smallest if smallest < BENT * 2.0**-24 * reach else 0.0
+
+
+def builds_on_gpu(rebuild: float, builder: str, software: bool) -> bool:
+    """Whether the GPU builds deforming trees anew, under Settings.rebuild and Settings.builder."""
+    return rebuild != 0 and (builder == "gpu" or (builder == "auto" and not software))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from glhybrid import needs, techniques
 from glhybrid.deform import at_time
 from glhybrid.errors import SettingError
-from glhybrid.levels import choose_levels
+from glhybrid.levels import builds_on_gpu, choose_levels
 from glhybrid.motion import Motion, wanted
 from glhybrid.needs import Features
 from glhybrid.scene import Scene
@@ -103,7 +103,8 @@ def make(
     passes = ["gbuffer"]
     if motion is not None and motion.deformers:
         passes = ["skin", *["refit"] * trees, "gbuffer"]
-        reasons += [deforming_reason(len(motion.deformers), settings.rebuild)] * trees
+        on_gpu = builds_on_gpu(settings.rebuild, settings.builder, software)
+        reasons += [deforming_reason(len(motion.deformers), settings.rebuild, on_gpu)] * trees
     else:
         skipped.append("skin and refit: " + ("nothing moves" if motion is None else "nothing changes shape"))
     if reference:
@@ -179,12 +180,14 @@ def _mirror_passes(features: Features, settings: Settings) -> list[str]:
     return ["screen_depth"] * features.march + [techniques.REFLECTIONS[settings.reflections].mirror_pass]
 
 
-def deforming_reason(shapes: int, rebuild: float) -> str:
+def deforming_reason(shapes: int, rebuild: float, on_gpu: bool) -> str:
     """What happens to the trees of shapes that change."""
     what = f"{shapes} tree{'s' if shapes > 1 else ''} over moving vertices"
+    where = "in compute" if on_gpu else "on the processor"
     if rebuild == 1:
-        return f"{what}: built anew every frame, as asked for"
-    limit = f", and built anew once the SAH cost has grown {rebuild:g} times" if rebuild else ", never built anew"
+        return f"{what}: built anew {where} every frame, as asked for"
+    grown = f"once the SAH cost has grown {rebuild:g} times"
+    limit = f", and built anew {where} {grown}" if rebuild else ", never built anew"
     return f"{what}: refitted every frame{limit}"
 
 

@@ -145,7 +145,7 @@ class Staged:
         data = aside.run(build, progress, f"{what} {self._triangles:,} triangles")
         if progress is not None:
             progress("uploading", 0, 0)
-        upload = GpuScene(self.context, self.drawn, data, features, moving, rebuild)
+        upload = GpuScene(self.context, self.drawn, data, features, moving, rebuild, self.settings.builder)
         if moving is None:
             return upload, None
         return upload, Mover(self.context, self.shaders, upload, moving, features, rebuild)
@@ -188,7 +188,7 @@ class Staged:
 
     def shares_upload(self, scene: Scene, settings: Settings) -> bool:
         """Whether trees, buffers and what moves them serve these settings too."""
-        names = ("time", "clip", "levels", "rebuild")
+        names = ("time", "clip", "levels", "rebuild", "builder")
         ours, theirs = ([self._timeless(s)[name] for name in names] for s in (self.settings, settings))
         return self._like(scene) and ours == theirs
 

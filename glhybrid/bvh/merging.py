@@ -3,9 +3,11 @@ nothing has to be read back.
 
 Parallel locally-ordered clustering (Meister & Bittner, "Parallel Locally-Ordered Clustering for Bounding Volume Hierarchy
 Construction", TVCG 24(3) 2018) by work groups: one takes up to a thousand neighbours on the Morton curve and merges nearest
-pairs until an eighth of them is left; what is left of all goes to the next level, until one group makes the root. Merging
-within groups follows Benthin et al., "H-PLOC" (HPG 2024). After `free` turns with the nearest, pairs are as they come: so
-many turns end it in any case, and every turn makes the tree deeper by one at most.
+pairs until a sixteenth of them is left; what is left of all goes to the next level, until one group makes the root. As in
+Benthin et al., "H-PLOC" (HPG 2024), no group waits for another, and no count of what is left need be known.
+
+The traversal's stack needs a bound on the depth: in a level, nearest pairs may make towers `highest` nodes high; what is
+higher waits until nothing else is to be had, and then pairs are as they come, which halves them every turn.
 """
 
 from typing import NamedTuple
@@ -15,9 +17,9 @@ import numpy as np
 from glhybrid import layout
 
 WIDTH = layout.CONSTANTS["MERGE_WIDTH"]  # clusters in one work group
-import os
-CAP=int(os.environ.get('CAP','2')); CAP1=int(os.environ.get('CAP1','1'))
-KEPT = int(os.environ.get('KEPT','8'))  # one of so many goes to the next level
+KEPT = 16  # one of so many goes to the next level
+HIGHEST = 3  # nodes above one another, beyond those of a balanced tree, that nearest pairs may make in a level
+FREE_TURNS = 48  # of nearest pairs, each of which leaves about 0.6 of what was there
 
 
 class Merging(NamedTuple):
@@ -41,8 +43,8 @@ def merging(triangles: int, tree: int = 0, item_first: int = 0, slot_first: int 
         rows["leaves"], rows["root"], rows["slot_first"] = not levels, groups == 1, slot_first + ends[:-1]
         rows["kept"] = 1 if groups == 1 else -(-rows["count"].astype(np.int64) // KEPT)
         halvings = int(np.ceil(np.log2(np.maximum(rows["count"] / rows["kept"], 1))).max())
-        rows["free_turns"], rows["highest"] = 48, CAP * halvings + CAP1
-        rows["turns"] = rows["free_turns"] + halvings + 1
+        rows["free_turns"], rows["highest"] = FREE_TURNS, halvings + HIGHEST
+        rows["turns"] = FREE_TURNS + halvings
         depth += int(rows["highest"][0]) + halvings
         # The last turn began with more than `kept`, and left half of them at least; the root has its own place.
         most = rows["count"].astype(np.int64) - np.where(rows["root"] == 1, 2, (rows["kept"] + 2) // 2)

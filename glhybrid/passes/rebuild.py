@@ -51,7 +51,9 @@ class Rebuild:
             "Digits": gl.buffer(reserve=(4 << DIGIT_BITS) * groups), "Clusters": gl.buffer(reserve=16 * max(cluster, 1)),
         }  # fmt: skip
         given = {**resources, **self._owned, "item_total": total, "sort_rounds": rounds}
-        programs = {stem: shaders.compute(f"rebuild_{stem}", features) for stem in ("keys", "count", "scan", "scatter", "merge")}
+        programs = {
+            stem: shaders.compute(f"rebuild_{stem}", features) for stem in ("keys", "count", "scan", "scatter", "merge")
+        }
         a, b = self._owned["PairsA"], self._owned["PairsB"]
         self._steps: list[tuple[Program, dict[str, Any], tuple[int, int], tuple[int, int]]] = [
             (programs["keys"], {**given, "PairsOut": a}, (min(total, 65536), -(-total // 65536)), (64, 1))
@@ -65,7 +67,9 @@ class Rebuild:
             a, b = b, a
         first = 0
         for rows in chunks:
-            self._steps.append((programs["merge"], {**given, "PairsIn": a, "chunk_first": first}, (len(rows), 1), (1, 1)))
+            self._steps.append(
+                (programs["merge"], {**given, "PairsIn": a, "chunk_first": first}, (len(rows), 1), (1, 1))
+            )
             first += len(rows)
 
     def run(self) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from glhybrid import bvh, layout
-from glhybrid.bvh.blas import PAD, Blas
+from glhybrid.bvh.blas import PAD
 from glhybrid.bvh.fragments import LEAF, make_grid
 from glhybrid.bvh.merging import key_axes
 from glhybrid.context import Context
@@ -13,6 +13,7 @@ from glhybrid.gpu_scene import GpuScene, MovedTree
 from glhybrid.motion import Shape
 from glhybrid.needs import Features
 from glhybrid.passes.rebuild import Rebuild
+from glhybrid.passes.refit_ways import Climb, Levels
 from glhybrid.readback import Piece, Reading, Ring, at_once
 from glhybrid.scene import F64, U32
 from glhybrid.shaders import Shaders
@@ -44,25 +45,20 @@ class Refit:
         self._age = 0
         self._ring = Ring(context, 1)
         self.rebuilt = 0  # trees, since the scene was loaded
-        self._program = shaders.compute("refit", features)
-        room = [self._held.node_capacity(m) for m in meshes]
-        self._entries = np.cumsum([0, *room]).tolist()  # rows of refit_nodes
-        total = self._entries[-1]
         self._trees = np.zeros(len(meshes), layout.dtype("RefitTree"))
         self._trees["node_first"] = [self._held.node_first(m) for m in meshes]
-        self._trees["entry_first"] = self._entries[:-1]
-        self._owned = {
-            "RefitTrees": self._gl.buffer(reserve=self._trees.nbytes), "RefitNodes": self._gl.buffer(reserve=8 * total),
-            "Arrived": self._gl.buffer(bytes(4 * total)),
-        }  # fmt: skip
-        self._resources: dict[str, Any] = {name: scene.resources[key].buffer for name, key in (
+        room = [self._held.node_capacity(m) for m in meshes]
+        self._trees["entry_first"] = np.cumsum([0, *room[:-1]])
+        self._tree_buffer = self._gl.buffer(reserve=self._trees.nbytes)
+        resources: dict[str, Any] = {name: scene.resources[key].buffer for name, key in (
             ("Triangles", "triangles"), ("Vertices", "vertices"), ("Nodes", "nodes"), ("Slots", "slots"))}  # fmt: skip
-        self._resources |= self._owned | {"refit_total": total}
-        for tree, blas in enumerate(blases):
-            self._link(tree, blas)
+        resources["RefitTrees"] = self._tree_buffer
+        way = Climb if self._held.on_gpu else Levels
+        self._way = way(context, shaders, features, resources, self._trees, sum(room))
+        self._way.link(dict(enumerate(blases)))
         self._builder: Rebuild | None = None
         if self._held.on_gpu:
-            self._builder = Rebuild(context, shaders, features, self._held, meshes, self._resources)
+            self._builder = Rebuild(context, shaders, features, self._held, meshes, self._way.resources)
             self._trees["key_bits"] = self._builder.key_bits
 
     def run(self, shapes: list[Shape]) -> dict[int, MovedTree]:
@@ -75,7 +71,7 @@ class Refit:
             moved[mesh], self._step[tree] = MovedTree(grid_min, grid_step, shape.bounds), grid_step
         if self._builder is not None:
             self._trees["axes"] = key_axes(self._trees["grid_step"], self._builder.key_bits)
-        self._owned["RefitTrees"].write(self._trees)
+        self._tree_buffer.write(self._trees)
         if self._rebuild == 1:
             return moved | self._build(range(len(self.meshes)))
         self.refit()
@@ -102,14 +98,13 @@ class Refit:
 
     @property
     def bytes(self) -> int:
-        own = sum(buffer.size for buffer in self._owned.values()) + self._ring.bytes
+        own = self._tree_buffer.size + self._way.bytes + self._ring.bytes
         return int(own + (self._builder.bytes if self._builder is not None else 0))
 
     def release(self) -> None:
         self._ring.release()
-        for buffer in self._owned.values():
-            buffer.release()
-        self._owned.clear()
+        self._tree_buffer.release()
+        self._way.release()
         if self._builder is not None:
             self._builder.release()
 
@@ -121,12 +116,11 @@ class Refit:
     @property
     def dispatches(self) -> int:
         """Of one refit."""
-        return 1
+        return self._way.dispatches
 
     def refit(self) -> None:
         """New boxes, on the grids that run() gave last."""
-        total = self._entries[-1]
-        self._program.dispatch(self._resources, (min(total, 65536), -(-total // 65536)), (64, 1))
+        self._way.run()
 
     def build(self) -> None:
         """All trees anew, where the GPU builds, on the grids that run() gave last."""
@@ -140,7 +134,7 @@ class Refit:
         if self._builder is None:
             self.rebuilt += len(trees)
             return {self.meshes[tree]: self._build_on_cpu(tree) for tree in trees}
-        self._builder.run()
+        self.build()
         self.rebuilt += len(self.meshes)
         self._nodes = [self._held.node_capacity(mesh) for mesh in self.meshes]
         self._built_cost = [None] * len(self.meshes)
@@ -158,25 +152,8 @@ class Refit:
         blas = bvh.build_blas(vertices[rows[:, :3] - first, :3], geometry=rows[:, 3].copy())
         self._step[tree], self._nodes[tree], self._built_cost[tree] = blas.grid_step, len(blas.nodes), blas.sah_cost
         self._held.replace(mesh, blas)
-        self._link(tree, blas)
+        self._way.link({tree: blas})
         return MovedTree(blas.grid_min, blas.grid_step, blas.bounds)
-
-    def _link(self, tree: int, blas: Blas) -> None:
-        """Tells every node of a tree that the CPU built its parent."""
-        first, end = self._entries[tree : tree + 2]
-        rows = np.full((end - first, 2), (layout.CONSTANTS["ID_NONE"], tree), np.uint32)
-        rows[: len(blas.nodes), 0] = parents_of(blas.nodes, self._held.node_first(self.meshes[tree]))
-        self._owned["RefitNodes"].write(rows, offset=8 * first)
-
-
-def parents_of(nodes: U32, first: int = 0) -> U32:
-    """(N,) uint32 of each node: 2 * parent + side, counted from `first`; REFIT_ROOT for the root."""
-    refs = nodes[:, 3::4]
-    parent, side = np.nonzero(refs < LEAF)
-    found = np.zeros(len(nodes), np.uint32)
-    found[refs[parent, side]] = 2 * (parent + first) + side
-    found[0] = layout.CONSTANTS["REFIT_ROOT"]
-    return found
 
 
 def sah_cost(nodes: U32, grid_step: F64) -> float:

@@ -3,7 +3,6 @@
 // Bittner, Havran, "Extended Morton Codes for High Performance Bounding Volume Hierarchy Construction", HPG 2017).
 // The top bits are the tree's number, so that all trees are sorted at once.
 #include "layout.glsl"
-#include "lib/fit.glsl"
 
 layout(local_size_x = 64) in;
 
@@ -14,14 +13,14 @@ layout(std430) readonly buffer Vertices { vec4 vertex_rows[]; };       // 2 a ve
 layout(std430) writeonly buffer PairsOut { uvec2 pairs_out[]; };       // key, row of build_items
 uniform int item_total;
 
+#include "lib/fit.glsl"
+
 void main() {
     uint i = gl_GlobalInvocationID.x + gl_GlobalInvocationID.y * 65536u;
     if (i >= uint(item_total)) return;
     BuildItem item = build_items[i];
     RefitTree tree = refit_trees[item.tree];
-    uvec3 corner = triangle_rows[item.triangle].xyz;
-    vec3 a = vertex_rows[2u * corner.x].xyz, b = vertex_rows[2u * corner.y].xyz, c = vertex_rows[2u * corner.z].xyz;
-    uvec3 words = box_words(min(min(a, b), c), max(max(a, b), c), tree);
+    uvec3 words = triangle_box(item.triangle, tree);
     uvec3 left = ((words & 0xFFFFu) + (words >> 16u)) << 15u;          // the centre; its next bit is the topmost
     uint key = item.tree;
     for (uint k = 0u; k < tree.key_bits; k++) {

@@ -4,7 +4,6 @@
 // Of the first level, triangles: two leaves become one where that is the cheaper, a node and a triangle at 1 each, and slots
 // are filled when a leaf is done. Which row a node or a slot gets depends on who asks first, the tree does not.
 #include "layout.glsl"
-#include "lib/fit.glsl"
 
 layout(local_size_x = 1024) in;                                        // MERGE_WIDTH
 
@@ -19,6 +18,8 @@ layout(std430) writeonly buffer RefitNodes { uvec2 refit_nodes[]; };
 layout(std430) writeonly buffer Nodes { uvec4 node_rows[]; };          // 2 a node: a child each
 layout(std430) writeonly buffer Slots { uvec4 slot_rows[]; };          // 3 a slot
 uniform int chunk_first;
+
+#include "lib/fit.glsl"
 
 const uint REACH = 8u;                                                 // neighbours looked at, to each side
 const uint MAX_LEAF = 4u;
@@ -62,7 +63,7 @@ uint bits_set(uint word) {
 
 // With whom a cluster makes the smallest box. Of equals the one whose number differs in the lowest bits: an order of pairs
 // that both ends agree on, so that each turn merges at least one, and of many equals half.
-// highest: what is so high merges no more; itself if nobody is left.
+// highest: what is so high merges no more. Itself if nobody is left.
 uint nearest(uint i, uint count, uint highest, vec3 scale) {
     uvec3 box = box_of(i);
     float least = 3e38;
@@ -107,9 +108,8 @@ void main() {
     uvec4 own = uvec4(ID_NONE);
     if (i < chunk.count) {
         if (leaves) {
-            uvec3 corner = triangle_rows[build_items[pairs_in[chunk.first + i].y].triangle].xyz;
-            vec3 a = vertex_rows[2u * corner.x].xyz, b = vertex_rows[2u * corner.y].xyz, c = vertex_rows[2u * corner.z].xyz;
-            own = uvec4(box_words(min(min(a, b), c), max(max(a, b), c), tree), LEAF | i << 4u | 1u);
+            own.xyz = triangle_box(build_items[pairs_in[chunk.first + i].y].triangle, tree);
+            own.w = LEAF | i << 4u | 1u;
         } else {
             own = clusters[chunk.first + i];
         }
