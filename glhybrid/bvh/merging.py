@@ -1,13 +1,14 @@
 """How passes/rebuild_merge.comp comes from triangles in Morton order to a tree: fixed before a vertex is known, so that
 nothing has to be read back.
 
-Parallel locally-ordered clustering (Meister & Bittner, "Parallel Locally-Ordered Clustering for Bounding Volume Hierarchy
-Construction", TVCG 24(3) 2018) by work groups: one takes up to a thousand neighbours on the Morton curve and merges nearest
-pairs until a sixteenth of them is left; what is left of all goes to the next level, until one group makes the root. As in
-Benthin et al., "H-PLOC" (HPG 2024), no group waits for another, and no count of what is left need be known.
+Parallel locally-ordered clustering (Meister & Bittner, "Parallel Locally-Ordered Clustering for Bounding Volume
+Hierarchy Construction", TVCG 24(3) 2018) by work groups: one takes up to a thousand neighbours on the Morton curve and
+merges nearest pairs until a sixteenth of them is left; what is left of all goes to the next level, until one group
+makes the root. As in Benthin et al., "H-PLOC" (HPG 2024), no group waits for another.
 
-The traversal's stack needs a bound on the depth: in a level, nearest pairs may make towers `highest` nodes high; what is
-higher waits until nothing else is to be had, and then pairs are as they come, which halves them every turn.
+The traversal's stack needs a bound on the depth: in a level, nearest pairs may make towers `highest` nodes high; what
+is higher waits until nothing else is to be had. Then pairs are as they come, which halves them every turn. (A bound on
+turns instead breaks up trees as they form: it made their SAH cost 1.4 times the builder's, in place of 1.07.)
 """
 
 from typing import NamedTuple
@@ -32,7 +33,7 @@ class Merging(NamedTuple):
 
 
 def merging(triangles: int, tree: int = 0, item_first: int = 0, slot_first: int = 0, cluster_first: int = 0) -> Merging:
-    """The plan for one tree over so many triangles, one at least; *_first: its rows of sorted pairs, slots, clusters."""
+    """The plan for a tree over so many triangles, one at least; *_first: its rows of sorted pairs, slots, clusters."""
     levels: list[np.ndarray] = []
     count, first, nodes, clusters, depth = triangles, item_first, 1, cluster_first, 0  # node 0 is the root
     while True:

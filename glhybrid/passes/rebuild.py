@@ -48,7 +48,8 @@ class Rebuild:
         self._owned = {
             "BuildItems": gl.buffer(items), "BuildChunks": gl.buffer(np.concatenate(chunks)),
             "PairsA": gl.buffer(reserve=8 * total), "PairsB": gl.buffer(reserve=8 * total),
-            "Digits": gl.buffer(reserve=(4 << DIGIT_BITS) * groups), "Clusters": gl.buffer(reserve=16 * max(cluster, 1)),
+            "Digits": gl.buffer(reserve=(4 << DIGIT_BITS) * groups),
+            "Clusters": gl.buffer(reserve=16 * max(cluster, 1)),
         }  # fmt: skip
         given = {**resources, **self._owned, "item_total": total, "sort_rounds": rounds}
         programs = {

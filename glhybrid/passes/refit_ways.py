@@ -1,8 +1,8 @@
 """How boxes of trees over moved vertices are refitted, children before parents.
 
-Levels: a dispatch each, for trees whose levels the CPU knows because it built them. Climb: one dispatch, in which the last
-thread to come to a node goes on to its parent; it needs to know the parents alone, which the GPU can write as it builds.
-In software, where a thread waits for its neighbours' ways, climbing takes twice as long.
+Levels: a dispatch each, for trees whose levels the CPU knows because it built them. Climb: one dispatch, in which the
+last thread to come to a node goes on to its parent; it only needs to know parents, which a GPU writes as it builds. In
+software, where a thread waits for the ways of its neighbours, climbing takes twice as long.
 """
 
 from collections.abc import Mapping

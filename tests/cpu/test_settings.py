@@ -13,7 +13,7 @@ def test_defaults_are_the_documented_ones() -> None:
     assert Settings().to_dict() == {
         "shadows": "ray", "reflections": "ray-lerp", "ao": "none", "samples": 64, "bounces": 8, "aa": None, "exposure": "auto",
         "tone": "pbr-neutral", "terminator": False, "seed": 0, "time": None,
-        "clip": None, "rebuild": 1.5, "levels": "auto", "kernels": "auto", "primary": "auto",
+        "clip": None, "rebuild": 1.5, "builder": "auto", "levels": "auto", "kernels": "auto", "primary": "auto",
     }  # fmt: skip
 
 
