@@ -18,6 +18,7 @@ FARTHEST = 1e12  # m: as geometry.LARGEST
 BRIGHTEST = 1e20  # radiance, lux, candela: what is left of float32 bears squares of distances
 WIDEST = math.radians(179)
 TELLS = 2.0**-23  # of 1: what float32 tells apart
+AFFINE = 1e-6  # how far a last row may be from 0 0 0 1
 KINDS = ("directional", "point", "spot")
 
 Rule = tuple[Callable[[Any], bool], str]
@@ -48,7 +49,7 @@ _MATERIALS: dict[str, Rule] = {
 
 
 def check_scene(scene: Scene) -> None:
-    """Raises SettingError naming the first light, material, instance or number of the sky that cannot be drawn."""
+    """Raises SettingError naming the first light, material, instance, matrix or texel that cannot be drawn."""
     _refuse(scene, "light", scene.lights, _LIGHTS)
     for number, light in enumerate(scene.lights):
         length = float(np.linalg.norm(np.asarray(light.direction, np.float64)))
@@ -86,6 +87,40 @@ def check_scene(scene: Scene) -> None:
                 )
             if not 0 <= min(instance.materials) <= max(instance.materials) < materials:
                 raise SettingError(f"{what}: materials = {instance.materials}: there are {materials}, numbered from 0")
+    _check_matrices(scene)
+
+
+def _check_matrices(scene: Scene) -> None:
+    """All are affine, and instances are where rays can reach. What is not finite is left out later, and said."""
+    instances, nodes = scene.instances, [(n.name, n.matrix) for n in scene.nodes if n.matrix is not None]
+    poses = np.array([i.world_from_object for i in instances], np.float64).reshape(-1, 4, 4)
+    _refuse_rows(scene, poses, lambda k: f'instance {k} "{instances[k].name}": world_from_object')
+    for name, matrix in nodes:
+        if np.shape(matrix) != (4, 4):
+            raise SettingError(f'{scene.name}: node "{name}": matrix is {np.shape(matrix)}, not (4, 4)')
+    _refuse_rows(scene, np.array([m for _, m in nodes]).reshape(-1, 4, 4), lambda k: f'node "{nodes[k][0]}": matrix')
+    for number, skin in enumerate(scene.skins):
+        if np.shape(skin.inverse_bind) != (len(skin.joints), 4, 4):
+            shape, want = np.shape(skin.inverse_bind), (len(skin.joints), 4, 4)
+            raise SettingError(f'{scene.name}: skin {number} "{skin.name}": inverse_bind is {shape}, not {want}')
+        what = f'skin {number} "{skin.name}": inverse_bind'
+        _refuse_rows(scene, skin.inverse_bind, lambda k, what=what: f"{what}[{k}]")  # type: ignore[misc]
+    if (far := np.flatnonzero((np.abs(poses[:, :3, 3]) > FARTHEST).any(1) & np.isfinite(poses).all((1, 2)))).size:
+        k = int(far[0])
+        what = f'{scene.name}: instance {k} "{instances[k].name}"'
+        raise SettingError(
+            f"{what}: world_from_object puts it at {poses[k, :3, 3].tolist()}: at most {FARTHEST:g} m from zero"
+        )
+
+
+def _refuse_rows(scene: Scene, matrices: np.ndarray, named: Callable[[int], str]) -> None:
+    """matrices: (N, 4, 4), destination from source."""
+    if (wrong := np.flatnonzero((np.abs(matrices[:, 3] - (0, 0, 0, 1)) > AFFINE).any(1))).size:
+        k = int(wrong[0])
+        turned = " (it is transposed)" if np.abs(matrices[k, :, 3] - (0, 0, 0, 1)).max() <= AFFINE else ""
+        raise SettingError(
+            f"{scene.name}: {named(k)}: its last row is {matrices[k, 3].tolist()}, must be [0, 0, 0, 1]{turned}"
+        )
 
 
 DIRECTION = "must have a length, such as (0, -1, 0)"
@@ -141,7 +176,7 @@ def check_camera(camera: Camera) -> None:
     pose, what = np.asarray(camera.world_from_view), f'camera "{camera.name}"'
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
         raise SettingError(f"{what}: world_from_view must be a (4, 4) matrix of finite numbers: {pose.tolist()}")
-    if np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max() > 1e-3 or np.abs(pose[3] - (0, 0, 0, 1)).max() > 1e-6:
+    if np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max() > 1e-3 or np.abs(pose[3] - (0, 0, 0, 1)).max() > AFFINE:
         raise SettingError(f"{what}: world_from_view must be rigid, without scale: {pose.tolist()}")
     if not camera.fov_y <= WIDEST:
         degrees = math.degrees(camera.fov_y)

@@ -26,6 +26,9 @@ def _skin(item: Item, accessors: AccessorReader) -> Skin:
     inverse_bind = matrices[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1).astype(np.float64)
     if not np.isfinite(inverse_bind).all():
         raise item.fail("an inverse bind matrix is not finite")
+    if not np.allclose(inverse_bind[:, 3], (0, 0, 0, 1), rtol=0, atol=1e-4):
+        item.warn("an inverse bind matrix has a last row other than 0 0 0 1 (affine), which is ignored")
+    inverse_bind[:, 3] = (0, 0, 0, 1)
     return Skin(joints, np.ascontiguousarray(inverse_bind), item.name)
 
 

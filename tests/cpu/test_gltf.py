@@ -374,7 +374,9 @@ def test_skin_morph_and_animation(tmp_path: Path) -> None:
     made, instance = piece(scene), scene.instances[0]
     np.testing.assert_array_equal(instance.world_from_object, np.eye(4))  # the node has no say over a skinned mesh
     assert instance.skin == 0 and scene.skins[0].joints == (1, 2)
-    np.testing.assert_array_equal(scene.skins[0].inverse_bind[0], np.arange(16).reshape(4, 4).T)
+    np.testing.assert_array_equal(
+        scene.skins[0].inverse_bind[0], [*np.arange(16).reshape(4, 4).T[:3].tolist(), [0, 0, 0, 1]]
+    )
     assert made.joints is not None and made.joints.dtype == np.uint16 and made.weights is not None
     np.testing.assert_allclose(made.weights.sum(1), 1, atol=1e-6)
     assert scene.meshes[0].morph_weights == (1.0, 0.0) and scene.nodes[0].morph_weights == (0.5, 0.25)

@@ -12,7 +12,7 @@ from shadow_scenes import WHITE
 import glhybrid as gh
 from glhybrid.errors import SettingError
 from glhybrid.load.shapes import box
-from glhybrid.scene import Camera, Environment, Light, Mesh, Probe, Scene, Sphere
+from glhybrid.scene import Camera, Environment, Instance, Light, Mesh, Node, Probe, Scene, Skin, Sphere
 
 if TYPE_CHECKING:
     from glhybrid.context import Context
@@ -104,6 +104,30 @@ def test_numbers_that_are_none(context: "Context", renderer: gh.Renderer, what: 
     else:
         bad = scene.replace(**{f"{what}s": (replace(getattr(scene, f"{what}s")[0], **changes),)})
     refused(renderer, bad, 0, what, list(changes)[-1].replace("radiance", ""))
+
+
+AFAR, SHEARED = np.eye(4), np.eye(4)
+AFAR[:3, 3], SHEARED[3] = (0, 1e20, 0), (0, 0, 0.5, 1)
+MOVED = np.eye(4)
+MOVED[:3, 3] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"instances": (Instance(0, AFAR, "far"),)}, ('instance 0 "far"', "1e+20", "at most 1e+12 m")),
+        ({"instances": (Instance(0, np.eye(4)), Instance(0, AFAR, "far"))}, ('instance 1 "far"', "at most 1e+12 m")),
+        ({"instances": (Instance(0, SHEARED, "odd"),)}, ('instance 0 "odd"', "last row is [0.0, 0.0, 0.5, 1.0]")),
+        ({"instances": (Instance(0, np.diag([1.0, 1, 1, 2]), "odd"),)}, ("last row", "must be [0, 0, 0, 1]")),
+        ({"instances": (Instance(0, MOVED.T, "odd"),)}, ('instance 0 "odd"', "it is transposed")),
+        ({"nodes": (Node("root", -1, matrix=SHEARED),)}, ('node "root": matrix', "last row")),
+        ({"nodes": (Node("root", -1, matrix=np.eye(3)),)}, ('node "root"', "not (4, 4)")),
+        ({"nodes": (Node("root", -1),), "skins": (Skin((0,), SHEARED[None], "s"),)}, ('skin 0 "s": inverse_bind[0]', "last row")),
+        ({"nodes": (Node("root", -1),), "skins": (Skin((0,), np.eye(4), "s"),)}, ('skin 0 "s"', "not (1, 4, 4)")),
+    ],
+)  # fmt: skip
+def test_matrices(context: "Context", renderer: gh.Renderer, changes: dict[str, Any], words: tuple[str, ...]) -> None:
+    refused(renderer, made().replace(**changes), 0, *words)
 
 
 @pytest.mark.parametrize("size", [(3.5, 2), ("a", 2), (5,), None, "64x48", (1, 2, 3)])

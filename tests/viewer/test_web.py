@@ -141,6 +141,9 @@ def test_frames_come_and_input_goes(served: tuple[Viewer, Web], context: Context
             return last
 
     got = drive(viewer, client, between=look)
+    end = time.monotonic() + 30
+    while surface.visible and time.monotonic() < end:  # until the server's thread hears of it
+        time.sleep(0.01)
     assert not surface.visible  # nobody looks: nothing is drawn
     width, height = SIZE[0] + 32 - WIDTH, SIZE[1]
     with Renderer(context=context) as renderer:
