@@ -1,6 +1,6 @@
 """The failure library, run: where each technique must fail, it does, by as much as theory says; the traced ones hold.
 
-A case is a scene file of scenes/failures/. Its [study] table names a measure (quantities.py), techniques that must
+A case is a scene file of scenes/failures/. Its [study] table names a measure (quantities/), techniques that must
 fail with the range expected, and techniques that must hold with their bar.
 """
 

@@ -1,4 +1,4 @@
-"""One technique on one scene of the failure library: what a measure (quantities.py) may ask of it.
+"""One technique on one scene of the failure library: what a measure (quantities/) may ask of it.
 
 A `Case` is shared by all techniques of a scene, and keeps what they are held against: the float64 answers of oracle.py
 and converged pictures of the path tracer.
