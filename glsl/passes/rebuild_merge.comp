@@ -194,7 +194,8 @@ void main() {
     }
     for (uint k = made + i; k < chunk.node_count; k += MERGE_WIDTH) {  // not in use: leaves of nothing
         uint node = tree.node_first + chunk.node_first + k;
-        node_rows[2u * node] = node_rows[2u * node + 1u] = uvec4(0u, 0u, 0u, LEAF);
+        node_rows[2u * node] = uvec4(0u, 0u, 0u, LEAF);
+        node_rows[2u * node + 1u] = uvec4(0u, 0u, 0u, LEAF);
         refit_nodes[node - tree.node_first + tree.entry_first].x = ID_NONE;
     }
 }
