@@ -40,10 +40,10 @@ def main(folder: str, out: str) -> None:
         scene.render.image_settings.file_format = "OPEN_EXR"
         scene.render.image_settings.color_depth = "32"
         scene.render.filepath = str(Path(scratch, "out.exr"))
-        _, ms = common.timed(lambda: bpy.ops.render.render(write_still=True))
+        _, times = common.timed(lambda: bpy.ops.render.render(write_still=True))
         picture = _read_exr(bpy, scene.render.filepath)
     notes = [f"{about['samples']} paths a pixel", *NOTES]
-    common.answer(out, picture, ms, bpy.app.version_string, notes)
+    common.answer(out, picture, times, bpy.app.version_string, notes)
 
 
 def _shine_for_all_rays(material) -> None:  # type: ignore[no-untyped-def]

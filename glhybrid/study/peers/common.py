@@ -1,6 +1,7 @@
 """What the processes of peers share: reading what they are given, and radiance out of 8-bit pictures."""
 
 import json
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 
 BRACKETS = (1.0, 1 / 8, 1 / 64)  # exposures, times one that shows the mean as middle grey
 REPEATS = 3
+Times = tuple[float, float]  # ms from start to end; ms of processor time of all threads, over the number of processors
 ENOUGH_S = 5.0  # of timed pictures: one of a slow path tracer tells as much
 
 
@@ -21,21 +23,23 @@ def read(folder: str) -> tuple[Path, dict[str, Any], Any]:
     return where / "scene.glb", json.loads((where / "scene.json").read_text(encoding="utf-8")), sky
 
 
-def answer(path: str, radiance: Any, ms: float, version: str, notes: list[str]) -> None:
-    """radiance (H, W, 3) linear, row 0 at the top; ms: of one picture, median; notes: differences in model."""
-    told = json.dumps({"ms": ms, "version": version, "notes": notes})
+def answer(path: str, radiance: Any, times: Times, version: str, notes: list[str]) -> None:
+    """radiance (H, W, 3) linear, row 0 at the top; times: of one picture; notes: differences in model."""
+    told = json.dumps({"ms": times[0], "cpu_ms": times[1], "version": version, "notes": notes})
     np.savez(path, radiance=np.ascontiguousarray(radiance[..., :3], np.float32), told=told)
 
 
-def timed(draw: Callable[[], Any]) -> tuple[Any, float]:
-    """The result, and median ms over REPEATS, or fewer that take ENOUGH_S, after one that prepares."""
+def timed(draw: Callable[[], Any]) -> tuple[Any, Times]:
+    """The result, and medians over REPEATS, or fewer that take ENOUGH_S, after one that prepares."""
     draw()
-    times: list[float] = []
-    while len(times) < REPEATS and sum(times) < 1e3 * ENOUGH_S:
-        started = time.perf_counter()
+    times: list[Times] = []
+    while len(times) < REPEATS and sum(wall for wall, _ in times) < 1e3 * ENOUGH_S:
+        started, worked = time.perf_counter(), time.process_time()
         result = draw()
-        times.append((time.perf_counter() - started) * 1e3)
-    return result, float(np.median(times))
+        cpu_ms = (time.process_time() - worked) * 1e3 / len(os.sched_getaffinity(0))
+        times.append(((time.perf_counter() - started) * 1e3, cpu_ms))
+    wall, cpu = np.median(times, axis=0).tolist()
+    return result, (wall, cpu)
 
 
 def encoded(linear: Any) -> Any:

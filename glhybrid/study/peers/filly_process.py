@@ -50,8 +50,8 @@ def main(folder: str, out: str) -> None:
             return target.read()
 
         radiance = common.bracketed(draw, about["mean"])
-        _, ms = common.timed(lambda: draw(0.18 / about["mean"]))
-    common.answer(out, radiance, ms, version("filly"), NOTES)
+        _, times = common.timed(lambda: draw(0.18 / about["mean"]))
+    common.answer(out, radiance, times, version("filly"), NOTES)
 
 
 def _light(scene: Any, light: dict[str, Any], extent: float) -> None:

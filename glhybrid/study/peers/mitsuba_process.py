@@ -45,9 +45,9 @@ def main(folder: str, out: str) -> None:
         del sensor["fov"], sensor["fov_axis"]
     objects["sensor"] = sensor
     scene = mi.load_dict(objects)
-    picture, ms = common.timed(lambda: np.array(mi.render(scene, spp=about["samples"])))
+    picture, times = common.timed(lambda: np.array(mi.render(scene, spp=about["samples"])))
     notes = [f"{about['samples']} paths a pixel, antialiased", *NOTES]
-    common.answer(out, picture, ms, str(mi.__version__), notes)
+    common.answer(out, picture, times, str(mi.__version__), notes)
 
 
 def _mesh(mi: Any, name: str, drawn: Drawn) -> Any:

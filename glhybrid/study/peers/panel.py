@@ -109,6 +109,7 @@ def ask(renderer: Renderer, name: str, site: Site, samples: int, note: Note) -> 
     notes = told["notes"] + ([f"not in its file: {', '.join(lost)}"] if lost else [])
     row = {
         "scene": site.name, "renderer": name, "version": told["version"], "frame_ms": told["ms"],
+        "frame_cpu_ms": told["cpu_ms"],
         **difference.to_dict(), "notes": notes, "images": images,
     }  # fmt: skip
     store.write_json(path, row | {"key": key})

@@ -48,8 +48,8 @@ def main(folder: str, out: str) -> None:
         return renderer.render(scene, flags=flags)[0]
 
     radiance = common.bracketed(draw, about["mean"])
-    _, ms = common.timed(lambda: draw(0.18 / about["mean"]))
-    common.answer(out, radiance, ms, pyrender.__version__, NOTES)
+    _, times = common.timed(lambda: draw(0.18 / about["mean"]))
+    common.answer(out, radiance, times, pyrender.__version__, NOTES)
 
 
 def _light(pyrender: Any, light: dict[str, Any], extent: float) -> tuple[Any, Any]:

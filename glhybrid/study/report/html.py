@@ -43,7 +43,7 @@ def _page(study: "Study", output: Path, files: dict[str, str]) -> str:
     parts += [
         _curves(study, files),
         tables.paper(study.paper, study.machine["time"], files) if study.paper else "",
-        tables.peers(study.peers, output, embedded) if study.peers else "",
+        tables.peers(study.peers, study.machine["time"], output, embedded) if study.peers else "",
         _failures(study, output),
         _reading(study),
         _notes(study),

@@ -190,11 +190,11 @@ def _in_words(rows: Sequence[Row], clock: str) -> str:
     return says
 
 
-def peers(found: Sequence[Row], output: Path, embedded: Callable[[Path, int], str]) -> str:
+def peers(found: Sequence[Row], clock: str, output: Path, embedded: Callable[[Path, int], str]) -> str:
     """Other renderers: figures, pictures, and how their models differ. embedded: a file as a data URI."""
     body = "".join(
         f"<tr><td>{escape(row['scene'])}</td><td class='text'>{escape(row['renderer'])} {escape(row['version'])}</td>"
-        f"<td>{shown(row['frame_ms'])}</td><td>{shown(row['flip'])}</td><td>{shown(row['rel_mse'])}</td>"
+        f"<td>{shown(row[clock])}</td><td>{shown(row['flip'])}</td><td>{shown(row['rel_mse'])}</td>"
         f"<td>{row['bias_percent']:+.1f}</td><td class='text long'>{escape('; '.join(row['notes']))}</td></tr>"
         for row in found
     )
@@ -205,7 +205,7 @@ def peers(found: Sequence[Row], output: Path, embedded: Callable[[Path, int], st
             f'src="{embedded(output / row["scene"] / row["images"][kind], 480)}">'
             for kind in ("png", "flip")
         )
-        about = f"{escape(row['scene'])}: FLIP {shown(row['flip'])}, {shown(row['frame_ms'])} ms"
+        about = f"{escape(row['scene'])}: FLIP {shown(row['flip'])}, {shown(row[clock])} ms"
         figures.append(f"<figure>{pictures}<figcaption><b>{escape(row['renderer'])}</b>, {about}</figcaption></figure>")
     return (
         '<section id="peers"><h2>Other renderers</h2><p>The same scene and camera in other programs, against the same '
