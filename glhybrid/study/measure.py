@@ -39,12 +39,13 @@ class Clock:
 @dataclass(frozen=True)
 class Times:
     """frame_ms: median of frames that are not cut up, from finish() to finish(); cpu_ms: CPU time of the process on all
-    cores over their number: on a software rasteriser, the frame on an idle machine; spread: half the distance of the
-    quartiles over the median; passes: ms by pass; trace_ms: of the passes that a technique brings."""
+    cores over their number: on a software rasteriser, the frame on an idle machine; spread, cpu_spread: half the
+    distance of the quartiles over the median; passes: ms by pass; trace_ms: of the passes that a technique brings."""
 
     frame_ms: float
     cpu_ms: float
     spread: float
+    cpu_spread: float
     frames: int
     passes: dict[str, float]
 
@@ -65,7 +66,8 @@ def time_frames(
     for _ in range(3 if context.device.software or frame_ms > LONG_MS else 10):  # the first does not count
         frame(passes)
     frames = len(sample.wall) * sample.batch
-    return Times(frame_ms, sample.median("cpu") / threads, sample.spread("wall") / 2, frames, passes.medians())
+    cpu_ms, spread, cpu_spread = sample.median("cpu") / threads, sample.spread("wall") / 2, sample.spread("cpu") / 2
+    return Times(frame_ms, cpu_ms, spread, cpu_spread, frames, passes.medians())
 
 
 def draw(renderer: Renderer, scene: Scene, camera: Camera, size: tuple[int, int], settings: Settings) -> Frame:
@@ -180,5 +182,5 @@ def describe(cell: Cell, times: Times) -> dict[str, Any]:
     return {
         **cell.techniques, "parameters": dict(cell.parameters), "label": cell.label, "names": cell.names,
         "frame_ms": times.frame_ms, "trace_ms": times.trace_ms, "frame_cpu_ms": times.cpu_ms,
-        "frame_ms_spread": times.spread, "passes": times.passes,
+        "frame_ms_spread": times.spread, "frame_cpu_ms_spread": times.cpu_spread, "passes": times.passes,
     }  # fmt: skip

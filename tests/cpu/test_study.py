@@ -97,12 +97,13 @@ def test_the_front_is_what_nothing_beats() -> None:
     assert pareto.front([10, 10.1], [2, 1]) == [1], "one per cent is the clock's noise: the better one wins"
     assert pareto.front([10, 11], [2, 1]) == [0, 1]
     assert pareto.front([], []) == []
+    assert pareto.front([1, 2, 3, 4], [0.2, 0.199, 0.1985, 0.1978]) == [0, 3], "what nobody can see is not paid for"
 
 
 def test_the_front_against_brute_force() -> None:
     rng = np.random.default_rng(3)
     time, error = rng.integers(1, 30, 200).astype(float), rng.integers(0, 30, 200).astype(float)
-    got = set(pareto.front(time, error, same_time=0.0))
+    got = set(pareto.front(time, error, same_time=0.0, same_error=0.0))
     for i in range(200):
         beaten = ((time <= time[i]) & (error <= error[i]) & ((time < time[i]) | (error < error[i]))).any()
         twin = ((time == time[i]) & (error == error[i]) & (np.arange(200) < i)).any()

@@ -16,6 +16,7 @@ WIDE, NARROW = (960, 500), (570, 420)  # px: a chart on its own, and one of two 
 LEFT, RIGHT, TOP, BOTTOM = 62, 18, 18, 50
 CHARACTER = 6.15  # px, mean advance of the 11.5 px face
 LINE = 14.0
+MARK = 5.2  # px, half a mark of the front
 Box = tuple[float, float, float, float]  # left, top, right, bottom, px
 
 STYLE = """
@@ -31,7 +32,7 @@ STYLE = """
 .chart .floor{stroke:var(--soft);stroke-dasharray:3 4}.chart .leader{stroke:var(--soft);stroke-width:.8}
 .chart .raster{fill:var(--raster);stroke:var(--raster)}.chart .traced{fill:var(--traced);stroke:var(--traced)}
 .chart .random{fill:var(--random);stroke:var(--random)}.chart .mark{stroke-width:1.4;fill-opacity:.25}
-.chart .mark.on{fill-opacity:1}.chart .bg{fill:var(--paper)}
+.chart .mark.on{fill-opacity:1}.chart .whisker{fill:none;stroke-width:1;opacity:.6}.chart .bg{fill:var(--paper)}
 .chart .halo{paint-order:stroke;stroke:var(--paper);stroke-width:3px;stroke-linejoin:round}
 .chart .curve{fill:none;stroke-width:2}.chart .broken{stroke-width:2;fill:var(--paper)}
 """
@@ -39,7 +40,8 @@ STYLE = """
 
 @dataclass(frozen=True)
 class Point:
-    """kind: raster, traced or random. front: on the front, and so named. named: named if there is room."""
+    """kind: raster, traced or random. front: on the front, and so named. named: named if there is room. spread: of x,
+    as a share of it to either side."""
 
     x: float
     y: float
@@ -47,6 +49,7 @@ class Point:
     kind: str
     front: bool = False
     named: bool = True
+    spread: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,12 @@ def scatter(
     x = fit([p.x for p in points], LEFT, width - RIGHT, room=0.09)
     y = fit([p.y for p in points], height - BOTTOM, TOP, room=0.07)
     parts = [_frame(x, y, x_label, y_label, height)]
-    if floor is not None and floor > y.low:
+    if floor is not None and floor <= y.low:
+        where = f'x="{width - RIGHT - 4}" y="{height - BOTTOM - 6}"'
+        parts.append(
+            f'<text class="soft small" text-anchor="end" {where}>{escape(floor_label)}: {shown(floor)} ↓</text>'
+        )
+    elif floor is not None:
         at = y.at(floor)
         parts.append(f'<line class="floor" x1="{LEFT}" x2="{width - RIGHT}" y1="{at:.1f}" y2="{at:.1f}"/>')
         parts.append(f'<text class="soft small" x="{LEFT + 4}" y="{at - 4:.1f}">{escape(floor_label)}</text>')
@@ -89,7 +97,13 @@ def scatter(
             (x0, y0), (x1, y1) = (x.at(p.x), y.at(p.y)), (x.at(q.x), y.at(q.y))
             walls += [(x0, y0 - 2, x1, y0 + 2), (x1 - 2, min(y0, y1), x1 + 2, max(y0, y1))]
     for p in sorted(points, key=lambda p: p.front):
-        tip = f"{p.label}: {shown(p.x)} ms, {shown(p.y)}"
+        ends = x.at(p.x * (1 - p.spread)), x.at(p.x * (1 + p.spread))
+        if ends[1] - ends[0] > 2 * MARK:
+            at = y.at(p.y)
+            parts.append(
+                f'<path class="whisker {p.kind}" d="M{ends[0]:.1f} {at - 3:.1f}v6m0 -3H{ends[1]:.1f}m0 -3v6"/>'
+            )
+        tip = f"{p.label}: {shown(p.x)} ms ± {100 * p.spread:.0f} %, {shown(p.y)}"
         parts.append(_mark(x.at(p.x), y.at(p.y), p, tip))
     parts += _labels([(x.at(p.x), y.at(p.y), p) for p in points], walls, size)
     return _svg(parts, title, size)
@@ -200,7 +214,7 @@ def _frame(x: Axis, y: Axis, x_label: str, y_label: str, height: int) -> str:
 
 
 def _mark(x: float, y: float, point: Point, tip: str) -> str:
-    r = 5.2 if point.front else 4.0
+    r = MARK if point.front else 4.0
     kind = f'class="mark {point.kind}{" on" if point.front else ""}"'
     if point.kind == "raster":
         shape = f'<rect {kind} x="{x - r * 0.9:.1f}" y="{y - r * 0.9:.1f}" width="{r * 1.8:.1f}" height="{r * 1.8:.1f}"'

@@ -9,18 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 from glhybrid import __version__, techniques
 from glhybrid.image import replacing
-from glhybrid.study import pareto
-from glhybrid.study.report import charts, sizes, tables
+from glhybrid.study.report import charts, findings, sizes, tables
 from glhybrid.study.report.axis import shown
 from glhybrid.study.report.charts import Line, Point
+from glhybrid.study.report.names import ERROR_NAMES, anchor, axis_name, clock_name
 
 if TYPE_CHECKING:
     from glhybrid.study.results import Study
 
 HERE = Path(__file__).parent
 WIDEST = 640  # pixels of an embedded picture
-BARS = (0.1, 0.05, 0.02)  # of FLIP, for "the cheapest under"
-AXIS_NAMES = {"ao": "Ambient occlusion"}
 Row = dict[str, Any]
 
 
@@ -37,7 +35,7 @@ def write(study: "Study", output: Path) -> None:
 
 
 def _page(study: "Study", output: Path, files: dict[str, str]) -> str:
-    parts = [_header(study), "<main>", _findings(study), sizes.section(study, files)]
+    parts = [_header(study), "<main>", findings.section(study), sizes.section(study, files)]
     for name in study.scenes:
         parts.append(_scene(study, name, output, files))
     parts += [
@@ -66,17 +64,17 @@ def _header(study: "Study") -> str:
     m = study.machine
     device = m["device"]
     kind = " (a CPU, through Mesa)" if device.get("software") else ""
-    links = [(f"#{_id(name)}", name) for name in study.scenes]
-    for anchor, there in (
+    links = [(f"#{anchor(name)}", name) for name in study.scenes]
+    for part, there in (
         ("stability", study.curves), ("paper", study.paper), ("peers", study.peers), ("failures", study.failures),
         ("reading", True), ("notes", True),
     ):  # fmt: skip
         if there:
             links.append(
                 (
-                    f"#{anchor}",
+                    f"#{part}",
                     {"reading": "how to read this", "paper": "the paper again", "peers": "other renderers"}.get(
-                        anchor, anchor
+                        part, part
                     ),
                 )
             )
@@ -108,38 +106,13 @@ def _busy(study: "Study") -> str:
     )
 
 
-def _findings(study: "Study") -> str:
-    """In words: the cheapest way under given errors, by scene."""
-    clock = study.machine.get("time", "frame_ms")
-    lines = []
-    for name in study.scenes:
-        rows = _of(study, name)
-        found: dict[str, list[float]] = {}
-        times, errors = [r[clock] for r in rows], [r["flip"] for r in rows]
-        for bar in BARS:
-            i = pareto.cheapest_under(times, errors, bar)
-            if i is not None:
-                found.setdefault(f"<b>{escape(rows[i]['label'])}</b> ({shown(times[i])} ms)", []).append(bar)
-        if not found:
-            best = min(rows, key=lambda r: r["flip"]) if rows else None
-            if best is not None:
-                lines.append(
-                    f"<li><a href='#{_id(name)}'>{escape(name)}</a>: nothing comes under FLIP {BARS[0]:g}; nearest is "
-                    f"<b>{escape(best['label'])}</b> with {shown(best['flip'])} in {shown(best[clock])} ms.</li>"
-                )
-            continue
-        says = "; ".join(f"under {' and '.join(f'{b:g}' for b in bars)}: {label}" for label, bars in found.items())
-        lines.append(f"<li><a href='#{_id(name)}'>{escape(name)}</a>: {says}.</li>")
-    return f"<h3>The cheapest picture under a given error</h3><ul>{''.join(lines)}</ul>" if lines else ""
-
-
 def _scene(study: "Study", name: str, output: Path, files: dict[str, str]) -> str:
     about, rows = study.scenes[name], _of(study, name)
     reference = about["reference"]
     w, h = about["size"]
     reached = "" if reference["complete"] else ", stopped by its limit of time or paths"
     parts = [
-        f'<section id="{_id(name)}"><h2>{escape(name)}</h2>',
+        f'<section id="{anchor(name)}"><h2>{escape(name)}</h2>',
         f'<p class="soft">{about["triangles"]:,} triangles drawn, {_count(about["lights"], "light")}, {w} × {h} pixels, camera '
         f"“{escape(about['camera'])}”. The reference has {reference['samples']:,} paths a pixel of up to "
         f"{reference['bounces']} bounces ({_duration(reference['seconds'])}{reached}); its own noise is "
@@ -187,30 +160,28 @@ def _chart(name: str, axis: str, rows: Sequence[Row], clock: str, reference: Row
         Point(
             row[clock], row[key], row["names"].get(axis, row["label"]) if axis else row["label"], _kind(row, axis),
             axis in row["pareto_axes"] if axis else row["pareto"], not row["parameters"] or bool(axis),
+            row.get(f"{clock}_spread") or 0.0,
         )
         for row in rows
     ]  # fmt: skip
-    what = {
-        "": "HDR-FLIP of the whole picture", "flip_shadow": "HDR-FLIP of the direct light alone",
-        "flip_reflection": "HDR-FLIP, weighted by specular share", "flip": "HDR-FLIP of the whole picture",
-    }[key if axis else ""]  # fmt: skip
     title = f"{name}: frame time against error" + (f", {axis}" if axis else "")
     floor = reference["noise_flip"] if key != "flip_shadow" else None
     svg = charts.scatter(
         points,
         title=title,
-        x_label=_clock_name(clock),
-        y_label=what,
+        x_label=clock_name(clock),
+        y_label=ERROR_NAMES[key],
         floor=floor,
         floor_label="noise of the reference",
         size=charts.NARROW if axis else charts.WIDE,
     )
     if axis:
         others = ", ".join(sorted({row[k] for row in rows for k in techniques.TECHNIQUES if k != axis} - {"none"}))
-        caption = f"<b>{AXIS_NAMES.get(axis, axis.capitalize())}.</b> All with {escape(others)}. The line joins what nothing beats in both."
+        caption = f"<b>{axis_name(axis)}.</b> All with {escape(others)}. The line joins what nothing beats in both (the Pareto front)."
     else:
         caption = (
-            "<b>The whole picture.</b> Everything measured; the line joins what nothing beats in both time and error."
+            "<b>The whole picture.</b> Everything measured; the line joins what nothing beats in both time and error (the "
+            "Pareto front). Whiskers: half of all frames took that long."
         )
     return svg, caption
 
@@ -230,7 +201,7 @@ def _compare(name: str, rows: Sequence[Row]) -> str:
 
     worst = max(_pictured(rows), key=lambda r: r["flip"])["label"]
     return (
-        f'<h3>Side by side</h3><div class="compare" data-scene="{_id(name)}" hidden><div class="pick">'
+        f'<h3>Side by side</h3><div class="compare" data-scene="{anchor(name)}" hidden><div class="pick">'
         f'<label>left <select class="cell">{options(worst)}</select></label>'
         f'<label>right <select class="cell">{options("reference")}</select></label>'
         '<label><input type="checkbox" class="flip"> FLIP maps</label></div>'
@@ -419,10 +390,6 @@ def _key() -> str:
     return f'<div class="key">{spans}<span>filled: on the front</span></div>'
 
 
-def _clock_name(clock: str) -> str:
-    return "frame time, ms" if clock == "frame_ms" else "processor time of a frame over threads, ms"
-
-
 def _duration(seconds: float) -> str:
     from glhybrid.study.progress import spoken
 
@@ -431,7 +398,3 @@ def _duration(seconds: float) -> str:
 
 def _count(number: int, what: str) -> str:
     return f"{number} {what}" + ("" if number == 1 else "s")
-
-
-def _id(name: str) -> str:
-    return "scene-" + "".join(c if c.isalnum() else "-" for c in name)

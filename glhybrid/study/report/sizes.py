@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from glhybrid.study.report import charts
 from glhybrid.study.report.axis import shown
 from glhybrid.study.report.charts import Line
+from glhybrid.study.report.names import clock_name
 
 if TYPE_CHECKING:
     from glhybrid.study.results import Study
@@ -45,9 +46,8 @@ def _figure(study: "Study", group: str, names: Sequence[str], clock: str, files:
     if not lines:
         return ""
     lines.sort(key=lambda line: line.y[-1])
-    what = "frame time, ms" if clock == "frame_ms" else "processor time of a frame over threads, ms"
     svg = charts.curves(
-        lines, title=f"{group}: frame time over pixels", x_label="pixels", y_label=what, size=charts.WIDE
+        lines, title=f"{group}: frame time over pixels", x_label="pixels", y_label=clock_name(clock), size=charts.WIDE
     )
     files[f"{group}-sizes"] = svg
     sizes = ", ".join("{} × {}".format(*study.scenes[name]["size"]) for name in names)

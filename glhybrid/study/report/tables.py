@@ -35,21 +35,25 @@ PARTS: tuple[Column, ...] = (
     ("right_point_percent", "right<br>point %", "of those that show its very point: within 0.5 px and 2 % of its way"),
     ("reflected_error_px", "point<br>off by px", "median distance in the picture, where the object is right"),
     ("reflected_error_px_p95", "95 % within<br>px", "of those"),
-    ("flicker", "flicker", "mean change of a world point under a pan by one pixel, over mean luminance"),
-    ("flicker_p99", "of 1 %<br>over", "the change of single points that 1 % exceed"),
+    ("flicker", "flicker<br>%", "mean change of a world point from frame to frame of a pan, of mean luminance"),
+    ("flicker_p99", "of the worst<br>1 %", "the change that one point in a hundred exceeds, likewise"),
     ("flip_rate_percent", "shadow<br>flips %", "points whose shadow changes sides, a frame of that pan"),
 )
+SHARES = ("flicker", "flicker_p99")  # shown in %
+LEAST_SHARE = 1e-3  # %: less is rounding of float32
 
 
 def cells(rows: Sequence[Row], clock: str, reference: Row) -> str:
     """All figures of a scene: of the whole picture; then of shadows, mirrors and motion, where they were asked for."""
     time = [column for column in TIME if column[0] == "frame_ms" or clock != "frame_ms"]
+    errors = [column for column in ERRORS if column[0] != "trace_ms" or clock == "frame_ms"]
     told = [row for row in rows if any(row.get(key) is not None for key, _, _ in PARTS)]
     only = [column for column in time if column[0] == clock]
     return (
         "<h3>All figures</h3><p class='soft'>A dot: on the front of the whole picture. A head sorts.</p>"
-        f"{_sortable(rows, [*time, *ERRORS], clock, _noise_row(reference))}<h3>Shadows, mirrors, and what changes in motion</h3>"
-        "<p class='soft'>Mirrors are asked of reflection techniques, and motion of every technique at its defaults.</p>"
+        f"{_sortable(rows, [*time, *errors], clock, _noise_row(reference))}<h3>Shadows, mirrors, and what changes in motion</h3>"
+        "<p class='soft'>Mirrors are asked of reflection techniques. Motion is of every technique at its defaults: the "
+        "camera pans by whole pixels, so that nothing that changes at a point of the world is right.</p>"
         f"{_sortable(told, [*only, *PARTS], clock)}"
     )
 
@@ -83,7 +87,9 @@ def _cell(row: Row, key: str) -> str:
         return '<td data-value=""></td>'
     if key == "bytes":
         value = value / 2**20
-    spread = row.get("frame_ms_spread") if key == "frame_ms" else None
+    if key in SHARES:
+        value = 100 * value if 100 * value >= LEAST_SHARE else 0.0
+    spread = row.get(f"{key}_spread")
     extra = f" title='± {100 * spread:.0f} %'" if spread is not None else ""
     return f'<td data-value="{value:.9g}"{extra}>{shown(float(value))}</td>'
 
