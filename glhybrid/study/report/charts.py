@@ -16,6 +16,7 @@ WIDE, NARROW = (960, 500), (570, 420)  # px: a chart on its own, and one of two 
 LEFT, RIGHT, TOP, BOTTOM = 62, 18, 18, 50
 CHARACTER = 6.15  # px, mean advance of the 11.5 px face
 LINE = 14.0
+NOTHING = 1e-5  # of the largest value of a chart: less is rounding, and drawn as 0
 MARK = 5.2  # px, half a mark of the front
 Box = tuple[float, float, float, float]  # left, top, right, bottom, px
 
@@ -122,6 +123,8 @@ def curves(
     """Error over a parameter, a line a technique, named at its end; a ring marks where it passes `bar`."""
     width, height = size
     finite = [v for line in lines for v in line.y if math.isfinite(v)]
+    least = NOTHING * max([*finite, bar or 0.0], default=0.0)
+    finite = [v if v > least else 0.0 for v in finite]
     right = max([len(line.label) for line in lines], default=0) * CHARACTER + 14
     x = fit([v for line in lines for v in line.x], LEFT, width - RIGHT - right, log=log_x, room=0.0)
     y = fit([*finite, *([bar] if bar else [])], height - BOTTOM, TOP)
@@ -129,10 +132,10 @@ def curves(
     if bar is not None:
         at = y.at(bar)
         parts.append(f'<line class="floor" x1="{LEFT}" x2="{x.end:.1f}" y1="{at:.1f}" y2="{at:.1f}"/>')
-        parts.append(f'<text class="soft small" x="{LEFT + 4}" y="{at - 4:.1f}">broken above {shown(bar)}</text>')
     ends: list[tuple[float, int]] = []
     for i, line in enumerate(lines):
-        where = [(x.at(a), y.at(b)) for a, b in zip(line.x, line.y, strict=True) if math.isfinite(b)]
+        places = [(a, b if b > least else 0.0) for a, b in zip(line.x, line.y, strict=True) if math.isfinite(b)]
+        where = [(x.at(a), y.at(b)) for a, b in places]
         if not where:
             continue
         path = "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in where)
@@ -154,6 +157,9 @@ def curves(
             f'<text class="small" style="fill:var(--c{i % 8})" x="{x.end + 11:.1f}" y="{placed + 3.5:.1f}">'
             f"{escape(lines[i].label)}</text>"
         )
+    if bar is not None:
+        where_bar = f'x="{LEFT + 4}" y="{y.at(bar) - 4:.1f}"'
+        parts.append(f'<text class="soft small halo" {where_bar}>broken above {shown(bar)}</text>')
     return _svg(parts, title, size)
 
 

@@ -2,6 +2,7 @@
 
 import base64
 import io
+import math
 from collections.abc import Callable, Sequence
 from html import escape
 from pathlib import Path
@@ -261,13 +262,19 @@ def _curves(study: "Study", files: dict[str, str]) -> str:
         'breaks: the first value past the bar, walking away from where it is best.</p><div class="charts">'
     ]
     for curve in study.curves:
-        lines = [Line(e["technique"], curve["values"], _numbers(e["errors"]), e["breaks"]) for e in curve["lines"]]
+        lines = []
+        broken: list[str] = []
+        for found in curve["lines"]:
+            errors = _numbers(found["errors"])
+            always = all(v > curve["bar"] for v in errors if math.isfinite(v))
+            lines.append(Line(found["technique"], curve["values"], errors, None if always else found["breaks"]))
+            if found["breaks"] is not None:
+                broken.append(f"{found['technique']} {'everywhere' if always else 'at ' + shown(found['breaks'])}")
         svg = charts.curves(
             lines, title=curve["title"], x_label=curve["parameter"], y_label=curve["measure"], log_x=curve["log"],
             bar=curve["bar"],
         )  # fmt: skip
         files[f"stability-{curve['name']}"] = svg
-        broken = [f"{e['technique']} at {shown(e['breaks'])}" for e in curve["lines"] if e["breaks"] is not None]
         says = f"Breaks: {', '.join(broken)}." if broken else "Nothing breaks."
         parts.append(
             f'<figure><div class="wide">{svg}</div><figcaption><b>{escape(curve["title"])}.</b> '
