@@ -49,9 +49,11 @@ class Turntable:
             raise SettingError(f"about {self.about}: expected three finite numbers, metres")
 
     def length(self, fps: float) -> int:
+        """Frames of the turn, whatever fps is."""
         return self.frames
 
     def at(self, time: float, frame: int, camera: Camera) -> Camera:
+        """The scene's camera, turned for a frame; the time plays no part."""
         whole = self.degrees % 360 == 0
         angle = np.radians(self.degrees * ((frame % self.frames if whole else frame) / self.frames))
         turn = np.eye(4)
@@ -120,6 +122,7 @@ class CameraPath:
         return (_natural_slopes if self.interpolation == "cubic" else _neighbour_slopes)(self.times, values)
 
     def length(self, fps: float) -> int:
+        """Frames at fps up to the last key; a loop leaves out the one that is its first again."""
         frames = float(self.times[-1] * fps)
         return max(int(np.floor(frames + 1e-6)) + (0 if self.loop and frames == round(frames) else 1), 1)
 
@@ -214,6 +217,7 @@ class CameraClip:
         self._player, self._end = posing.Player(scene, found), posing.clip_span(found)[1]
 
     def length(self, fps: float) -> int:
+        """Frames at fps until the clip of the other file ends."""
         return int(np.floor(self._end * fps + 1e-6)) + 1
 
     def at(self, time: float, frame: int, camera: Camera) -> Camera:

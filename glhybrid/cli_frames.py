@@ -58,6 +58,7 @@ class Frames:
         return many
 
     def point(self) -> tuple[float, float, float] | None:
+        """--about, world, metres; None if it was not given. Raises SettingError."""
         if self.about is None:
             return None
         try:

@@ -58,6 +58,7 @@ class View:
         self.pixel()
 
     def pixel(self) -> tuple[int, int] | None:
+        """--pick, (column, row) from the top left; None if it was not given. Raises SettingError."""
         if self.pick is None:
             return None
         match = re.fullmatch(r"\s*(\d+)\s*,\s*(\d+)\s*", self.pick)

@@ -38,11 +38,16 @@ _ELSEWHERE = "use --device auto, or see `glhybrid doctor`"
 class Native(Protocol):
     """A context moderngl can run on: EglContext, OsmesaContext, or a window's."""
 
-    def load_opengl_function(self, name: str) -> int: ...
-    def make_current(self) -> None: ...
+    def load_opengl_function(self, name: str) -> int:
+        """The address of an OpenGL function; 0 if the driver has none."""
+
+    def make_current(self) -> None:
+        """Makes it this thread's context. Raises DeviceError where another thread has it."""
+
     def __enter__(self) -> object: ...
     def __exit__(self, *_: object) -> None: ...
-    def release(self) -> None: ...
+    def release(self) -> None:
+        """Ends the context and all that lives in it."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +64,7 @@ class Device:
     drm_node: str = ""
 
     def to_dict(self) -> dict[str, object]:
+        """Ready for JSON: the receipt's `device`."""
         return asdict(self)
 
     def __str__(self) -> str:
@@ -92,6 +98,7 @@ class Limits:
     memory_bytes: int  # of the GPU; 0 if the driver does not say
 
     def to_dict(self) -> dict[str, object]:
+        """Ready for JSON, as `doctor --json` prints it."""
         return asdict(self)
 
 

@@ -70,9 +70,11 @@ class Report:
 
     @property
     def usable(self) -> bool:
+        """Whether `--device auto` finds a device to draw with."""
         return bool(self.auto)
 
     def to_dict(self) -> dict[str, Any]:
+        """Ready for JSON, as `doctor --json` prints it."""
         return asdict(self) | {"usable": self.usable}
 
 

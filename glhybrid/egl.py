@@ -120,6 +120,7 @@ def _egl() -> _Egl:
 
 
 def client_extensions() -> frozenset[str]:
+    """EGL's own extensions, those of no display."""
     return frozenset(_egl().string(None, _EXTENSIONS).split())
 
 
@@ -166,6 +167,7 @@ def unbind() -> None:
 
 
 def has_surfaceless() -> bool:
+    """Whether Mesa's platform without a display server is there."""
     return "EGL_MESA_platform_surfaceless" in client_extensions()
 
 

@@ -155,14 +155,17 @@ class GL:
         return value.value
 
     def get_integer_indexed(self, name: int, index: int) -> int:
+        """One integer of an indexed limit, such as a dimension of GL_MAX_COMPUTE_WORK_GROUP_COUNT."""
         value = c_int(0)
         self.glGetIntegeri_v(name, index, ctypes.byref(value))
         return value.value
 
     def get_string(self, name: int) -> str:
+        """The driver's words; empty for a name that it does not know."""
         return (self.glGetString(name) or b"").decode("utf-8", "replace")
 
     def extensions(self) -> frozenset[str]:
+        """Names of all extensions, such as GL_ARB_clip_control."""
         count = self.get_integer(GL_NUM_EXTENSIONS)
         return frozenset((self.glGetStringi(GL_EXTENSIONS, i) or b"").decode("ascii", "replace") for i in range(count))
 

@@ -125,6 +125,7 @@ _VARIABLES = (
 
 
 def has_egl() -> bool:
+    """Whether libEGL can be loaded."""
     try:
         load_egl()
     except DeviceError:

@@ -98,7 +98,9 @@ def check_aovs(names: Iterable[str]) -> tuple[str, ...]:
 class Frame:
     """One rendered picture: `rgb` (H, W, 3) uint8 as displayed (sRGB), AOVs by name, and the receipt.
 
-    `frame["depth"]` is the array of that AOV as `AOVS` describes it; row 0 is the top.
+    `frame["depth"]` is the array of that AOV as `AOVS` describes it; row 0 is the top. The receipt, ready for JSON,
+    says what was drawn, on what, by which passes and for how long: `scene`, `device`, `settings`, `plan`, `bvh`,
+    `passes` ([{name, ms}]), `frame_ms`, `first_image_ms`.
     """
 
     rgb: NDArray[np.uint8]
@@ -119,6 +121,7 @@ class Frame:
         return self.rgb.shape[1], self.rgb.shape[0]
 
     def __getitem__(self, name: str) -> Array:
+        """An AOV's array, shape and dtype as `AOVS` says. Raises SettingError for one that was not asked for."""
         check_aovs([name])
         if name not in self.arrays:
             have = ", ".join(self.arrays) or "none"

@@ -347,6 +347,7 @@ class Channel:
 
     @property
     def bytes_per_pixel(self) -> int:
+        """Of the image that holds it."""
         return self.components * {"f1": 1, "f2": 2, "f4": 4, "u4": 4, "u1": 1}[self.dtype]
 
 

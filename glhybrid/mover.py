@@ -63,6 +63,7 @@ class Mover:
 
     @property
     def bytes(self) -> int:
+        """On the GPU, beside the scene's own."""
         return sum(part.bytes for part in (self.skin, self.refit) if part is not None)
 
     def release(self) -> None:

@@ -65,6 +65,7 @@ class Movie:
         self._thread = threading.Thread(target=self._work, args=(encode, fps, count, metadata(receipt)), daemon=True)
 
     def add(self, rgb: Pixels) -> None:
+        """Hands on the next picture; waits while the encoder is behind. Raises OutputError if it failed."""
         while self._error is None:
             try:
                 self._queue.put(rgb, timeout=0.2)

@@ -26,6 +26,7 @@ class Pace:
 
     @property
     def on(self) -> bool:
+        """Whether dispatches are drawn in bands, with turns in between."""
         return self._turn is not None
 
     @contextmanager
@@ -38,6 +39,7 @@ class Pace:
             self._turn = before
 
     def give_turn(self) -> None:
+        """Calls back, if anybody wants a turn; its time is no work's."""
         if self._turn is not None:
             start = time.perf_counter()
             try:

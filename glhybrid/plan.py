@@ -23,7 +23,11 @@ JOINED_LIGHTS = 8  # asked in one program: as in passes/shadow.py
 
 @dataclass(frozen=True)
 class Plan:
-    """passes: names in order. reasons: one sentence a decision. skipped: what was left out, and why."""
+    """What runs: made by make(), carried out by frame.py, in the receipt as `plan`.
+
+    levels: 1 or 2, of trees. passes: names in order. reasons: one sentence a decision. skipped: what was left out, and
+    why, a sentence each.
+    """
 
     features: Features
     levels: int

@@ -54,8 +54,11 @@ class Renderer:
     ) -> Frame:
         """One picture, with the AOVs asked for (image.AOVS) and a receipt.
 
-        size in pixels. `radiance` is always there. Pictures average settings.aa jittered frames (4 if not said);
-        data AOVs are of the exact pixel centres. Raises SettingError, GeometryError or ShaderError.
+        camera: an index into Scene.cameras or a camera's name, a Camera, a text "eye=X,Y,Z;target=X,Y,Z;fov=45", or
+        None for the first one. size: (width, height), pixels. progress: called with (stage, done, total), total 0 =
+        unknown. `radiance` is always there. Pictures average settings.aa jittered frames (4 if not said); data AOVs
+        are of the exact pixel centres. Raises SettingError, GeometryError, ShaderError, or DeviceError where the
+        device lacks room.
         """
         started = time.perf_counter()
         settings, names = settings or Settings(), check_aovs(aovs)
@@ -79,7 +82,8 @@ class Renderer:
 
         A picture comes out up to `in_flight` shots after it was drawn, so that reading it holds up nothing. Unlike
         render(), `radiance` is only read where `aovs` has it, and passes are timed in the first two pictures only.
-        Rendering something else in between is allowed; motion vectors are then those since that.
+        Rendering something else in between is allowed; motion vectors are then those since that. Raises as render()
+        does, and SettingError for an `in_flight` that is not from 1 to 64.
         """
         return stream.frames(self, scene, shots, size, settings or Settings(), check_aovs(aovs), in_flight)
 

@@ -52,6 +52,12 @@ class Texture:
 class Material:
     """glTF 2.0 metallic-roughness, appendix B, and the KHR extensions we draw. Factors multiply textures.
 
+    Colours are linear Rec. 709, base_color's fourth number is opacity. metallic, roughness (perceptual, its square is
+    GGX's alpha), specular, occlusion_strength, clearcoat, clearcoat_roughness and transmission (thin: nothing bends) go
+    from 0 to 1; ior is at least 1, or 0 for a dielectric that reflects all. A roughness under 0.02 is an exact mirror.
+    alpha_mode MASK cuts out where opacity is under alpha_cutoff. unlit: base_color is what is seen. Renderer.render
+    refuses what is out of range.
+
     Textures by slot: base_color, emissive, specular_color (sRGB); metallic_roughness, normal, occlusion, specular,
     clearcoat, clearcoat_roughness, clearcoat_normal, transmission (linear).
     """
@@ -97,9 +103,10 @@ class MorphTarget:
 class Triangles:
     """One drawable piece of a mesh: indexed triangles with one material. Object space, metres.
 
-    position (V, 3), index (T, 3), normal (V, 3) unit, tangent (V, 4) with handedness in w, uv0/uv1 (V, 2),
-    color (V, 4) linear. normal is never None after load: missing ones are made there, as is tangent if a normal map
-    needs it. joints/weights are (V, 4) or (V, 8) for skinned meshes.
+    position (V, 3), index (T, 3), normal (V, 3) unit, tangent (V, 4) with handedness in w, uv0/uv1 (V, 2) with v
+    down, color (V, 4) linear: float32, but for the index, uint32. normal is never None after load: missing ones are
+    made there, as is tangent if a normal map needs it. material: index into Scene.materials. joints (uint16, into
+    Skin.joints) and weights (float32) are (V, 4) or (V, 8) for skinned meshes.
     """
 
     position: F32
@@ -125,7 +132,10 @@ class Sphere:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Pieces that move together. One mesh under many nodes stays one mesh."""
+    """Pieces that move together, in object space. One mesh under many nodes stays one mesh.
+
+    morph_weights: of the primitives' targets, at rest.
+    """
 
     name: str
     primitives: tuple[Triangles | Sphere, ...]
@@ -155,7 +165,8 @@ class Mesh:
 class Instance:
     """A mesh placed in the world.
 
-    world_from_object: (4, 4) float64, affine. materials: one material index per primitive, instead of the mesh's own.
+    mesh: index into Scene.meshes. world_from_object: (4, 4) float64, affine, its last row 0 0 0 1, metres; a mirrored
+    one turns the winding over. materials: one material index per primitive, instead of the mesh's own.
     node and skin: indices into Scene.nodes / Scene.skins, -1 if not animated by one.
     """
 
@@ -235,9 +246,9 @@ class Camera:
     """A view. world_from_view: (4, 4) float64, rigid, looking down -Z. Perspective if fov_y > 0, else orthographic.
 
     fov_y: vertical, radians, whatever the image's shape; but with fov_short it spans the shorter side, so that what
-    fits stays in view in tall images too (cameras made to frame something).
-    xmag, ymag: half extents in metres (orthographic); xmag 0 =
-    from the image's shape. near, far clip only what the raster sees; far 0 = infinite.
+    fits stays in view in tall images too (cameras made to frame something). xmag, ymag: half extents in metres
+    (orthographic); xmag 0 = from the image's shape. near, far: metres, clip only what the camera sees first; far 0 =
+    infinite. node: index into Scene.nodes of what moves it, -1 if nothing does.
     """
 
     name: str
@@ -259,7 +270,10 @@ class Camera:
         near: float = 0.01,
         name: str = "main",
     ) -> "Camera":
-        """A camera at eye that looks at target. An up along the view is replaced by the least aligned axis."""
+        """A perspective camera at eye that looks at target: world, metres; fov_y vertical, radians.
+
+        An up along the view is replaced by the least aligned axis.
+        """
         back = np.asarray(eye, np.float64) - np.asarray(target, np.float64)
         back /= np.linalg.norm(back)
         right = np.cross(np.asarray(up, np.float64), back)
@@ -346,7 +360,12 @@ class Study:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Everything a file holds. warnings: what was dropped or changed on load, one sentence each, naming the thing."""
+    """Everything a file holds; or make one: `Scene("name", meshes, instances, materials, lights=..., cameras=...)`.
+
+    Things refer to each other by index into these tuples. replace(**changes) is a copy; where only lights or the
+    environment's rotation differ, a Renderer keeps what it has on the GPU. path, sha256: of the file. warnings: what
+    was dropped or changed on load, one sentence each, naming the thing.
+    """
 
     name: str
     meshes: tuple[Mesh, ...] = ()

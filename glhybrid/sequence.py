@@ -61,6 +61,7 @@ class Sequence:
         return self._clip is not None
 
     def settings_at(self, number: int) -> Settings:
+        """The settings of a frame: those of all, at its time if a clip plays."""
         return self.settings.replace(time=number / self.fps) if self.plays else self.settings
 
     def camera_at(self, number: int) -> int | str | Camera | None:

@@ -108,7 +108,10 @@ def _shown(value: object) -> str:
 
 @dataclass(frozen=True)
 class Settings:
-    """How to make the picture. Values are checked on construction: SettingError names key, value and range."""
+    """How to make the picture. Values are checked on construction: SettingError names key, value and range.
+
+    describe() says what each does. parameters: of techniques, by dotted key: `{"shadows.pcf.radius": 3}`.
+    """
 
     shadows: str = _setting("ray", "shadow technique", str)
     reflections: str = _setting("ray-lerp", "reflection technique", str)
@@ -158,7 +161,7 @@ class Settings:
         object.__setattr__(self, "parameters", {k: _rule(k).check(k, v) for k, v in self.parameters.items()})
 
     def replace(self, **changes: Any) -> "Settings":
-        """A copy with some values changed, checked."""
+        """A copy with some values changed, checked; dotted keys too: `replace(**{"shadows.pcf.radius": 3})`."""
         return _build(self, changes)
 
     def with_overrides(self, overrides: Iterable[str]) -> "Settings":

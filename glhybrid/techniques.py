@@ -44,6 +44,7 @@ class Technique:
     parameters: tuple[Parameter, ...] = ()
 
     def key(self, parameter: Parameter) -> str:
+        """The dotted key of a parameter, as --set and Settings.parameters take it: `shadows.pcf.radius`."""
         return f"{self.kind}.{self.name}.{parameter.name}"
 
 

@@ -37,7 +37,7 @@ class Timing:
         return result
 
     def take(self) -> dict[str, float]:
-        """By pass, summed over the frames so far, which are forgotten."""
+        """Milliseconds by pass, summed over the frames so far, which are forgotten."""
         total: dict[str, float] = {}
         for frame in self._frames:
             for name, ms in frame.items():
@@ -46,7 +46,7 @@ class Timing:
         return total
 
     def medians(self) -> dict[str, float]:
-        """By pass, over all frames but the first, which also compiles (unless it is the only one)."""
+        """Milliseconds by pass, over all frames but the first, which also compiles (unless it is the only one)."""
         frames = self._frames[1:] or self._frames
         names = dict.fromkeys(name for frame in frames for name in frame)
         return {name: median(frame[name] for frame in frames if name in frame) for name in names}

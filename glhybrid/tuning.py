@@ -58,6 +58,7 @@ class Tuning:
         return chosen, f"{said}by this device's rates {raster:.3g} ms by raster, {trace:.3g} by rays"
 
     def to_dict(self) -> dict[str, Any]:
+        """Ready for JSON, as it is kept on disk."""
         return asdict(self)
 
 

@@ -56,14 +56,17 @@ class Rays:
 
     @property
     def origin(self) -> F32:
+        """(R, 3), metres."""
         return np.ascontiguousarray(self.data[:, :3])
 
     @property
     def direction(self) -> F32:
+        """(R, 3), unit."""
         return np.ascontiguousarray(self.data[:, 4:7])
 
     @property
     def t_max(self) -> F32:
+        """(R,), metres; infinite unless the ray ends at a light."""
         return np.ascontiguousarray(self.data[:, 3])
 
 

@@ -36,6 +36,7 @@ class Accessor:
     normalized: bool
 
     def describe(self) -> str:
+        """Its type in words, for messages."""
         return f"{self.type} of {'normalised ' if self.normalized else ''}{COMPONENT_NAMES[self.component]}"
 
     def floats(self) -> F32:
@@ -57,6 +58,7 @@ class AccessorReader:
         self._floats: dict[int, F32] = {}
 
     def get(self, index: int) -> Accessor:
+        """An accessor's values, read once. Raises LoadError."""
         if index not in self._read:
             self._read[index] = _read(self.doc, self.doc.items("accessors")[index])
         return self._read[index]

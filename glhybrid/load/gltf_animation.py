@@ -11,6 +11,7 @@ WIDTHS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 0}  # numbers 
 
 
 def read_skins(doc: Document, accessors: AccessorReader) -> tuple[Skin, ...]:
+    """Scene.skins of a file, in its order. Raises LoadError."""
     return tuple(_skin(item, accessors) for item in doc.items("skins"))
 
 

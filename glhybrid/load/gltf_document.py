@@ -62,9 +62,11 @@ class Item:
         self.data: dict[str, Any] = data
 
     def fail(self, problem: str) -> LoadError:
+        """The error to raise: file, item, problem."""
         return LoadError(f"{self.doc.path}: {self.label}: {problem}" if self.label else f"{self.doc.path}: {problem}")
 
     def warn(self, remark: str) -> None:
+        """Says what was dropped or changed of this item; with `strict` that raises LoadError."""
         self.doc.report.warn(remark, self.label)
 
     def _get(self, key: str, default: Any) -> Any:
@@ -115,12 +117,14 @@ class Item:
         return value
 
     def string(self, key: str, default: Any = _REQUIRED) -> Any:
+        """A text. Raises LoadError if it is another type, or missing without a default."""
         value = self._get(key, default)
         if key in self.data and not isinstance(value, str):
             raise self.fail(f'"{key}" is {show(value)}, must be a string')
         return value
 
     def boolean(self, key: str, default: bool = False) -> bool:
+        """true or false. Raises LoadError for anything else."""
         value = self._get(key, default)
         if not isinstance(value, bool):
             raise self.fail(f'"{key}" is {show(value)}, must be true or false')
@@ -150,6 +154,7 @@ class Item:
         return f"{self.label}, {label}" if self.label else label
 
     def extension(self, name: str) -> "Item | None":
+        """The item's extension of that name; None if it has none."""
         extensions = self.child("extensions")
         return (
             Item(self.doc, self._join(name), extensions.data[name]) if extensions and name in extensions.data else None
@@ -162,6 +167,7 @@ class Item:
         return self._refer(key, self.integer(key), kind)
 
     def required_index(self, key: str, kind: str) -> int:
+        """The index of an item of a kind, in range. Raises LoadError if it is missing or none."""
         return int(self.index(key, kind, _REQUIRED))
 
     def indices(self, key: str, kind: str) -> tuple[int, ...]:
@@ -181,6 +187,7 @@ class Item:
 
     @property
     def name(self) -> str:
+        """As the file has it, fit to be printed; may be empty."""
         return printable(self.string("name", ""))
 
 
@@ -222,9 +229,11 @@ class Document:
         self._buffers = [self._resolve_buffer(i, item) for i, item in enumerate(self.items("buffers"))]
 
     def fail(self, problem: str) -> LoadError:
+        """The error to raise about the whole file."""
         return LoadError(f"{self.path}: {problem}")
 
     def items(self, kind: str) -> list[Item]:
+        """All items of a kind, such as `nodes`. Raises LoadError if they are no list of objects."""
         if kind not in self._items:
             value = self.root.data.get(kind, [])
             if not isinstance(value, list):
@@ -233,6 +242,7 @@ class Document:
         return self._items[kind]
 
     def count(self, kind: str) -> int:
+        """How many items of a kind the file has; 0 if they are no list, which items() refuses."""
         value = self.root.data.get(kind, [])
         return len(value) if isinstance(value, list) else 0
 

@@ -38,9 +38,11 @@ class TextureRef:
 
     @property
     def uv_transform(self) -> F64 | None:
+        """As scene.Texture has it: (2, 3) float64, None where uv stay as they are."""
         return None if self.transform is None else np.array(self.transform).reshape(2, 3)
 
     def texture(self, image: Image) -> Texture:
+        """The scene's texture, once its image is there."""
         return Texture(
             image,
             uv_set=self.uv_set,
@@ -54,6 +56,8 @@ class TextureRef:
 
 @dataclass(frozen=True)
 class ParsedMaterial:
+    """A material whose images are not read yet: only those that are used will be."""
+
     fields: dict[str, Any]  # of scene.Material, but for the textures
     textures: dict[str, TextureRef]
 

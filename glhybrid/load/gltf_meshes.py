@@ -44,6 +44,7 @@ class MeshReader:
         self._shapes: dict[str, tuple[int, list[int]]] = {}  # shape -> slot, numbers of the primitives drawn
 
     def use(self, index: int) -> MeshUse:
+        """A mesh, read when a node first uses it. Raises LoadError."""
         if index not in self._uses:
             self._uses[index] = self._use(self.doc.items("meshes")[index])
         return self._uses[index]

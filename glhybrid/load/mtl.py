@@ -231,6 +231,7 @@ class Files:
         return data
 
     def image(self, folder: Path, name: Path, owner: str) -> Image:
+        """An image beside the file, read once. owner: who names it, for messages. Raises LoadError."""
         path = folder / name
         if path not in self._images:
             data = self.read(folder, name, owner)

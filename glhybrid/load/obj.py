@@ -41,6 +41,7 @@ class ObjReader:
         self._lines: dict[str, _Lines] = {}
 
     def fail(self, number: int, problem: str) -> NoReturn:
+        """Raises LoadError naming file and line."""
         raise LoadError(f"{self.path}: line {number}: {problem}")
 
     def read(self, data: bytes) -> tuple[Triangles, ...]:

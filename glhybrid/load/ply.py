@@ -22,6 +22,8 @@ BYTE_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">
 
 @dataclass(frozen=True)
 class Property:
+    """A column of an element, as the header declares it."""
+
     name: str
     type: str  # NumPy's, without byte order
     count_type: str = ""  # of a list; "" = one value

@@ -19,6 +19,7 @@ class Report:
         self._things.setdefault(remark, []).append(thing)
 
     def sentences(self) -> tuple[str, ...]:
+        """Scene.warnings: one for each remark, with the things it is about."""
         return tuple(self._sentence(remark, things) for remark, things in self._things.items())
 
     def _sentence(self, remark: str, things: list[str]) -> str:

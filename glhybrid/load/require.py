@@ -25,12 +25,14 @@ def _shown(value: object) -> str:
 
 
 def positive(**values: float | Sequence[float]) -> None:
+    """Raises ShapeError unless every value is more than 0 and at most 1e9."""
     for key, value in values.items():
         if not ((np.asarray(value) > 0) & (np.asarray(value) <= 1e9)).all():  # NaN fails too
             raise ShapeError(key, value, "must be greater than 0 and at most 1e9")
 
 
 def counts(high: int, low: int = 1, **values: int | Sequence[int]) -> None:
+    """Raises ShapeError unless every value is in a range."""
     for key, value in values.items():
         if not all(low <= n <= high for n in np.atleast_1d(value)):
             raise ShapeError(key, value, f"must be between {low} and {high}")

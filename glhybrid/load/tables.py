@@ -25,6 +25,7 @@ ANY: tuple[Check, str] = (lambda x: True, "")
 
 
 def between(low: float, high: float) -> tuple[Check, str]:
+    """A check of a number's range, with its words."""
     return (lambda x: low <= x <= high, f"must be between {low:g} and {high:g}")
 
 
@@ -50,6 +51,7 @@ class Table:
         return key in self.values
 
     def fail(self, message: str, key: str | None = None) -> NoReturn:
+        """Raises LoadError: file and table, key and value if there is one, what is wrong."""
         given = f"{key} = {_shown(self.values.get(key))}: " if key else ""
         raise LoadError(f"{self.where}: {given}{message}")
 
@@ -71,10 +73,12 @@ class Table:
         return self.values.get(key)
 
     def number(self, key: str, default: float, check: tuple[Check, str] = ANY) -> float:
+        """A finite number, or the default. Raises LoadError if it is none or fails the check."""
         value = self._get(key)
         return float(default) if value is None else self._number(value, key, check)
 
     def integer(self, key: str, default: int, low: int = 1, high: int = 2**31 - 1) -> int:
+        """A whole number in a range, or the default. Raises LoadError."""
         value = self._get(key)
         if value is None:
             return default
@@ -85,12 +89,14 @@ class Table:
         return value
 
     def boolean(self, key: str, default: bool) -> bool:
+        """true or false, or the default. Raises LoadError."""
         value = self._get(key)
         if value is not None and type(value) is not bool:
             self.fail("must be true or false", key)
         return default if value is None else value
 
     def string(self, key: str, default: str, choices: Sequence[str] = ()) -> str:
+        """A text, one of the choices if there are any, or the default. Raises LoadError with the nearest choice."""
         value = self._get(key)
         if value is None:
             return default

@@ -148,6 +148,7 @@ CONTROLS: dict[str, type[Subject]] = {
 
 
 def find(name: str) -> type[Subject]:
+    """The method of that name. Raises SettingError with the nearest one."""
     if name not in CONTROLS:
         raise SettingError(unknown("control", name, CONTROLS))
     return CONTROLS[name]

@@ -39,6 +39,7 @@ class Seen:
 
     @property
     def covered(self) -> Mask:
+        """(H, W): where the camera ray meets something."""
         return np.isfinite(self.hit.t)
 
 

@@ -76,6 +76,7 @@ def flip_map(got: F32, want: F32) -> F32:
 
 
 def rel_mse(got: F64, want: F64) -> float:
+    """Relative mean square error of two (H, W, 3) pictures; the floor keeps black from counting for all."""
     mean = float((want @ LUMINANCE).mean())
     floor = REL_FLOOR * mean**2 if mean > 0 else REL_FLOOR
     return float(((got - want) ** 2 / (want**2 + floor)).mean())

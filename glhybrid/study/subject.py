@@ -48,9 +48,11 @@ class Case:
 
     @cached_property
     def oracle(self) -> Oracle:
+        """The scene in float64, made at first use."""
         return Oracle(self.scene)
 
     def seen(self, camera: int = 0) -> Seen:
+        """What the rays of a camera meet, once computed."""
         return self.once(("seen", camera), lambda: self.oracle.seen(self.scene.cameras[camera], self.study.size))
 
     def visibility(self, camera: int = 0, light: int = 0) -> F64:
@@ -60,6 +62,7 @@ class Case:
         )
 
     def forget(self) -> None:
+        """Frees what was computed."""
         self._known.clear()
         self.__dict__.pop("oracle", None)
 

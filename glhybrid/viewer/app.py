@@ -77,6 +77,7 @@ class Viewer:
     # The loop
 
     def run(self) -> None:
+        """Until it is closed."""
         while self.running:
             self.tick()
 

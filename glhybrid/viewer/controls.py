@@ -74,9 +74,11 @@ class Controls:
             self.dragging = ""
 
     def held(self, name: str) -> bool:
+        """Whether a key is down, either one of its kind."""
         return name in self._down or f"left_{name}" in self._down or f"right_{name}" in self._down
 
     def over_divider(self) -> bool:
+        """Whether the pointer could take hold of the line between two pictures."""
         x = self.pointer[0]
         near = abs(x - self.session.divider * self.size[0]) <= DIVIDER_PX
         return self.session.mode == "split" and near and x < self.size[0]
@@ -160,6 +162,7 @@ class Controls:
 
     @property
     def flying(self) -> bool:
+        """Whether keys move the camera now."""
         return self.dragging == "look" and bool(self._down & set("wasdqe"))
 
     def _key(self, event: Key) -> None:

@@ -29,6 +29,8 @@ class Move:
 
 @dataclass(frozen=True)
 class Button:
+    """A mouse button went down or up: 0 left, 1 right, 2 middle."""
+
     button: int
     down: bool
 

@@ -20,6 +20,8 @@ BACK = 0xC0181614
 
 
 class Overlay:
+    """What lies over the picture: labels, legend, divider, messages, help."""
+
     def __init__(self, gui: Gui, session: Session, pictures: Pictures, controls: Controls, scale: float) -> None:
         self._gui, self._session, self._pictures, self._controls = gui, session, pictures, controls
         self._scale = scale

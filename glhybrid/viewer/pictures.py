@@ -104,10 +104,12 @@ class Pictures:
         return next(s for s in SIDES if _plain(self.settings(s)) == plain)
 
     def picture(self, side: Side) -> Picture:
+        """The one that a side shows, which sides with equal settings share."""
         return self.sides[self._as(side)]
 
     @property
     def moving(self) -> bool:
+        """Whether small first samples are shown, because things move."""
         return self._moving
 
     @property

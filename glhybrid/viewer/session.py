@@ -83,14 +83,17 @@ class Session:
     _lit: tuple[Any, Scene] | None = None
 
     def say(self, text: str, error: bool = False) -> None:
+        """A message for some seconds, three times as many for an error; the same again counts anew."""
         now = clock.monotonic()
         self.said = [s for s in self.said if s.until > now and s.text != text][-4:]
         self.said.append(Said(text, error, now + SAID_S * (3 if error else 1)))
 
     def moved(self) -> None:
+        """Something of the picture has changed: it is drawn anew."""
         self.moves += 1
 
     def edited(self) -> None:
+        """Something else has changed that needs a new frame."""
         self.edits += 1
 
     def lit_scene(self) -> Scene:
@@ -105,10 +108,12 @@ class Session:
         return tuple(f"{i}:{a:.6g},{e:.6g}" for i, (a, e) in sorted(self.light_angles.items()))
 
     def turn_light(self, index: int, azimuth: float, elevation: float) -> None:
+        """Where a light comes from instead, degrees; elevation is held to 90 either way."""
         self.light_angles[index] = ((azimuth + 180) % 360 - 180, min(max(elevation, -90.0), 90.0))
         self.moved()
 
     def turn_environment(self, degrees: float) -> None:
+        """The environment's turn about +Y instead, degrees."""
         self.environment_deg = float(f"{(degrees + 180) % 360 - 180:.6g}")
         self.moved()
 
@@ -150,10 +155,12 @@ class Session:
         return self.pose
 
     def move_to(self, pose: Pose) -> None:
+        """Looks from there instead of through the scene's camera."""
         self.pose = pose.rounded()
         self.moved()
 
     def use_camera(self, index: int) -> None:
+        """Looks through a camera of the scene again."""
         self.camera_index, self.pose = index, None
         self.moved()
 
@@ -166,6 +173,7 @@ class Session:
         return self.scene.bounds()
 
     def extent(self) -> float:
+        """The length of the scene's diagonal, metres; 1 for an empty one."""
         low, high = self.scene.bounds()
         return float(np.linalg.norm(high - low)) or 1.0
 

@@ -15,11 +15,17 @@ class Surface(Protocol):
     context: Context
 
     @property
-    def size(self) -> tuple[int, int]: ...
+    def size(self) -> tuple[int, int]:
+        """(width, height) of what is presented, pixels."""
+
     @property
-    def scale(self) -> float: ...
+    def scale(self) -> float:
+        """How much larger than at 96 dots an inch text should be."""
+
     @property
-    def visible(self) -> bool: ...
+    def visible(self) -> bool:
+        """False while nobody can see it: then nothing is drawn."""
+
     def poll(self, timeout: float) -> list[Event]:
         """What happened since; waits for at most `timeout` seconds while nothing does."""
         ...
@@ -28,11 +34,20 @@ class Surface(Protocol):
         """Shows a framebuffer of this size. moving: more follows at once, so that speed counts more than quality."""
         ...
 
-    def title(self, text: str) -> None: ...
-    def cursor(self, name: str) -> None: ...
-    def get_clipboard(self) -> str: ...
-    def set_clipboard(self, text: str) -> None: ...
-    def close(self) -> None: ...
+    def title(self, text: str) -> None:
+        """Names the window."""
+
+    def cursor(self, name: str) -> None:
+        """The pointer's shape, by CSS's name."""
+
+    def get_clipboard(self) -> str:
+        """The text that was copied last, here or elsewhere."""
+
+    def set_clipboard(self, text: str) -> None:
+        """Copies a text."""
+
+    def close(self) -> None:
+        """Ends it; the context may go with it."""
 
 
 class Memory:
@@ -59,6 +74,7 @@ class Memory:
         self._size = size
 
     def feed(self, *events: Event) -> None:
+        """Events for the next poll(), as from a user."""
         self._events.extend(events)
 
     def poll(self, timeout: float) -> list[Event]:

@@ -21,6 +21,7 @@ class Transport:
 
     @staticmethod
     def of(scene: Scene) -> "Transport":
+        """At the start of a scene's first clip; without one it stands still."""
         transport = Transport()
         if scene.animations:
             transport.choose(scene, 0)
@@ -33,15 +34,18 @@ class Transport:
         self.playing = self.playing and self.end > 0
 
     def toggle(self) -> None:
+        """Plays or pauses; from the end it begins anew."""
         if self.end > 0:
             self.playing = not self.playing
             if self.playing and not self.loop and self.time >= self.end:
                 self.time = 0.0
 
     def seek(self, time: float) -> None:
+        """To a time in seconds, held within the clip."""
         self.time = min(max(time, 0.0), self.end)
 
     def step(self, frames: int) -> None:
+        """Pauses, and goes some frames on or back."""
         self.playing = False
         self.seek((round(self.time / FRAME_S) + frames) * FRAME_S)
 

@@ -11,12 +11,15 @@ from glhybrid.study.subject import Measured
 
 @dataclass(frozen=True)
 class Quantity:
+    """A measure: its name, unit, meaning, and the function that takes it."""
+
     name: str
     unit: str
     meaning: str  # one line
     measure: Callable[..., Measured]
 
     def options(self) -> list[str]:
+        """Names that the [study] table's options may have."""
         return list(inspect.signature(self.measure).parameters)[1:]
 
 
