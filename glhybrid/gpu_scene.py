@@ -117,7 +117,8 @@ class GpuScene:
             self._bounds = np.array([m.blas.bounds for m in geometry.meshes])
             self._place(0, len(self._world))
         boxes = self._boxes if two_level and geometry.meshes else None
-        on_gpu = builds_on_gpu(rebuild, builder, self._context.device.software)
+        largest = motion.largest if motion is not None else 0
+        on_gpu = builds_on_gpu(rebuild, builder, self._context.device.software, largest)
         given = (deforming, motion is not None, rebuild, self.scene.name, on_gpu)
         self.trees = GpuTrees(self._texels, geometry, boxes, *given)
         if geometry.meshes:

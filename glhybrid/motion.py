@@ -99,6 +99,12 @@ class Motion:
         """Rows of start.meshes whose vertices move."""
         return frozenset(self.start.instances[d.instances[0]].mesh for d in self.deformers)
 
+    @cached_property
+    def largest(self) -> int:
+        """Triangles of the largest mesh whose vertices move; 0 if none do."""
+        meshes = [self.start.meshes[m].primitives for m in self.deforming]
+        return max((sum(len(p.index) for p in m if isinstance(p, Triangles)) for m in meshes), default=0)
+
     def at(self, time: float) -> Moment:
         """Everything that moves, at a time in seconds."""
         pose = self._player.at(time)

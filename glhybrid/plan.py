@@ -107,7 +107,7 @@ def make(
     passes = ["gbuffer"]
     if motion is not None and motion.deformers:
         passes = ["skin", *["refit"] * trees, "gbuffer"]
-        on_gpu = builds_on_gpu(settings.rebuild, settings.builder, software)
+        on_gpu = builds_on_gpu(settings.rebuild, settings.builder, software, motion.largest)
         reasons += [deforming_reason(len(motion.deformers), settings.rebuild, on_gpu)] * trees
     else:
         skipped.append("skin and refit: " + ("nothing moves" if motion is None else "nothing changes shape"))

@@ -139,7 +139,7 @@ class Settings:
         1.5, "growth of a deforming tree's SAH cost that has it built anew; 1: every frame, 0: never", float, 0, 1e9
     )
     builder: Literal["auto", "cpu", "gpu"] = _setting(
-        "auto", "what builds deforming trees anew; auto: a GPU itself, else the processor", str,
+        "auto", "what builds deforming trees anew; auto: a GPU itself, without one the faster", str,
         choices=("auto", "cpu", "gpu"),
     )  # fmt: skip
     levels: Literal["auto", 1, 2] = _setting("auto", "levels of the tree", str, choices=("auto", 1, 2))

@@ -1,10 +1,11 @@
 """`glhybrid bench --motion`: what motion costs. How old a tree may get, how many instances may move, how fast pictures
 leave the GPU.
 
-- `refit`: a clip is played four times, with trees built anew every frame (Kim's way), refitted until their SAH cost has
-  grown by a half or by all of itself, and never built anew. For every frame: SAH cost to that of the tree built for it,
-  nodes and triangles tested a ray, ms by pass, and the largest difference to the first picture, which must be 0.
-- `deformed`: moving the vertices and refitting the trees, by themselves.
+- `refit`: a clip is played five times, with trees built anew every frame (Kim's way) by the processor and in compute,
+  refitted until their SAH cost has grown by a half or by all of itself, and never built anew. For every frame: SAH cost
+  to that of the tree the processor built for it, nodes and triangles tested a ray, ms by pass, and the largest
+  difference to the first picture, which must be 0.
+- `deformed`: moving the vertices, refitting the trees, and building them in compute, by themselves.
 - `instances`: rigid bodies, all of them moving: ms for poses, for the top-level tree refitted or built, for the frame.
 - `readback`: pictures a second without reading any, through the ring, and one by one.
 """
@@ -12,7 +13,7 @@ leave the GPU.
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -32,19 +33,21 @@ from glhybrid.stream import Shot
 from glhybrid.timing import Timing
 
 Progress = Callable[[str, int, int], None]
-POLICIES = (1.0, 1.5, 2.0, 0.0)
+Builder = Literal["auto", "cpu", "gpu"]
+POLICIES: tuple[tuple[float, Builder], ...] = ((1, "cpu"), (1, "gpu"), (1.5, "auto"), (2, "auto"), (0, "auto"))
 TABLES = ("refit", "deformed", "instances", "readback")
 BARS = "▁▂▃▄▅▆▇█"
 
 
 @dataclass(frozen=True)
 class Played:
-    """One scene under one `rebuild`. Lists are by frame; *_mean over them. error: largest |difference| of radiance to
-    the picture with trees built for the frame. age: frames since the tree was built."""
+    """One scene under one `rebuild` and `builder`. Lists are by frame; *_mean over them. error: largest |difference| of
+    radiance to the picture with trees built for the frame. age: frames since the tree was built."""
 
     scene: str
     triangles: int
     rebuild: float
+    builder: str
     builds: int
     age: list[int]
     sah_ratio: list[float]
@@ -60,16 +63,18 @@ class Played:
 
 @dataclass(frozen=True)
 class Deformed:
-    """What a frame's deformation costs, ms, medians: vertices moved, and boxes fitted to them in so many dispatches.
-    clocks of both: gpu (timestamps), wall where the host takes longer than the GPU, cpu over the cores in software."""
+    """What a frame's deformation costs, ms, medians: vertices moved, boxes fitted to them in so many dispatches, trees
+    built in compute in so many. nodes: rows of trees that the GPU built. clocks of the three: gpu (timestamps), wall
+    where the host takes longer than the GPU, cpu over the cores in software."""
 
     scene: str
     triangles: int
     nodes: int
-    dispatches: int
-    clocks: tuple[str, str]
+    dispatches: tuple[int, int]
+    clocks: tuple[str, str, str]
     skin_ms: float
     refit_ms: float
+    build_ms: float
 
 
 @dataclass(frozen=True)
@@ -147,10 +152,10 @@ def run(
         total, done = len(made) * len(POLICIES) + len(counts) * 2 + 1, 0
         for name, scene in made:
             fresh: list[tuple[float, Any]] = []
-            for rebuild in POLICIES:
+            for rebuild, builder in POLICIES:
                 progress(f"refit: {name}, rebuild = {rebuild:g}", done, total)
                 frames = 16 if quick else 48
-                report.refit.append(play(renderer, name, scene, size, rebuild, frames, fresh))
+                report.refit.append(play(renderer, name, scene, size, rebuild, frames, fresh, builder))
                 done += 1
             report.deformed.append(deform(renderer, name, scene, size))
         for count in counts:
@@ -173,6 +178,7 @@ def play(
     rebuild: float,
     frames: int,
     fresh: list[tuple[float, Any]],
+    builder: Builder = "auto",
 ) -> Played:
     """The first clip in `frames` even steps. fresh: SAH cost and radiance of each frame with trees built for it, which
     the first call, with rebuild = 1, puts there."""
@@ -183,7 +189,7 @@ def play(
     age: list[int] = []
     ratio, steps, refit_ms, trace_ms, errors = [], [], [], [], []
     for k, now in enumerate(np.linspace(start, end, frames).tolist()):
-        settings = Settings(aa=1, time=now, rebuild=rebuild)
+        settings = Settings(aa=1, time=now, rebuild=rebuild, builder=builder)
         frame = renderer.render(scene, size=size, settings=settings, aovs=("bvh_steps", "instance_id"))
         assert renderer._staged is not None and renderer._staged.mover is not None
         refit = renderer._staged.mover.refit
@@ -204,28 +210,32 @@ def play(
     # Times of the first frames are those of compilers.
     medians = (float(np.mean(v[2:] or v)) for v in (refit_ms, trace_ms))
     return Played(
-        name, scene.triangle_count(), rebuild, builds, age, ratio, steps, refit_ms, trace_ms, max(errors), *means,
-        *medians,
+        name, scene.triangle_count(), rebuild, builder, builds, age, ratio, steps, refit_ms, trace_ms, max(errors),
+        *means, *medians,
     )  # fmt: skip
 
 
 def deform(renderer: Renderer, name: str, scene: Scene, size: tuple[int, int], repeats: int = 0) -> Deformed:
-    """Skinning and refitting by themselves, over and over at one time of the first clip."""
-    settings, context = Settings(aa=1, rebuild=0.0, time=0.1), renderer.context
+    """Skinning, refitting and building by themselves, over and over at one time of the first clip."""
+    settings, context = Settings(aa=1, rebuild=1.0, builder="gpu", time=0.1), renderer.context
     renderer.render(scene, size=size, settings=settings)
     assert renderer._staged is not None and renderer._staged.mover is not None
     mover, software = renderer._staged.mover, context.device.software
     skin, refit, shapes = mover.skin, mover.refit, mover.motion.at(0.1).shapes
     assert skin is not None and refit is not None
-    works: dict[str, Callable[[], None]] = {"skin": lambda: skin.run(shapes), "refit": refit.refit}
+    works: dict[str, Callable[[], None]] = {
+        "skin": lambda: skin.run(shapes),
+        "refit": refit.refit,
+        "build": refit.build,
+    }
     if software:
         samples, share = clock.on_cpu(works, repeats or 9, context.gl.finish), cores(context)
     else:
         samples, share = clock.on_gpu(context, works, repeats or 50), 1
     kinds = ["cpu" if software else "gpu" if samples[work].gpu else "wall" for work in works]
-    skin_ms, refit_ms = (samples[work].median(kind) / share for work, kind in zip(works, kinds, strict=True))
-    clocks = kinds[0], kinds[1]
-    return Deformed(name, scene.triangle_count(), refit.nodes, refit.dispatches, clocks, skin_ms, refit_ms)
+    skin_ms, refit_ms, build_ms = (samples[work].median(kind) / share for work, kind in zip(works, kinds, strict=True))
+    dispatches, clocks = (refit.dispatches, refit.builds), (kinds[0], kinds[1], kinds[2])
+    return Deformed(name, scene.triangle_count(), refit.nodes, dispatches, clocks, skin_ms, refit_ms, build_ms)
 
 
 def move(renderer: Renderer, scene: Scene, size: tuple[int, int], rebuild: float, frames: int) -> Moved:
@@ -290,7 +300,7 @@ def show(report: MotionReport) -> None:
     rows: list[Sequence[object]] = []
     for p in report.refit:
         spread = [s for q in report.refit if q.scene == p.scene for s in q.steps_per_ray]
-        policy = {0.0: "never", 1.0: "every frame"}.get(p.rebuild, f"past {p.rebuild:g}")
+        policy = {0.0: "never", 1.0: f"every frame, {p.builder}"}.get(p.rebuild, f"past {p.rebuild:g}")
         rows.append((
             p.scene, p.triangles, policy, p.builds, round(p.sah_ratio_mean, 3), round(max(p.sah_ratio), 3),
             round(p.steps_per_ray_mean, 2), bars(p.steps_per_ray, min(spread), max(spread)),
@@ -302,9 +312,9 @@ def show(report: MotionReport) -> None:
     )  # fmt: skip
     print()
     console.table(
-        ("deformed", "triangles", "nodes", "dispatches", "skin ms", "refit ms", "clocks"),
-        [(d.scene, d.triangles, d.nodes, d.dispatches, round(d.skin_ms, 3), round(d.refit_ms, 3), ", ".join(d.clocks))
-         for d in report.deformed],
+        ("deformed", "triangles", "nodes", "skin ms", "refit ms", "dispatches", "build ms", "dispatches", "clocks"),
+        [(d.scene, d.triangles, d.nodes, round(d.skin_ms, 3), round(d.refit_ms, 3), d.dispatches[0],
+          round(d.build_ms, 3), d.dispatches[1], ", ".join(d.clocks)) for d in report.deformed],
     )  # fmt: skip
     print()
     console.table(

@@ -14,7 +14,7 @@ from glhybrid.shaders import Program, Shaders
 SORT_WIDTH = 512  # threads of a group that sorts
 SORT_GROUPS = 256  # at most, so that one group can add up their counts
 DIGIT_BITS = 8
-KEY_BITS = 32
+SPARE_BITS = 10  # of keys, beyond those that number the triangles: they are not spread evenly
 
 
 class Rebuild:
@@ -30,8 +30,10 @@ class Rebuild:
         resources: dict[str, Any],
     ) -> None:  # fmt: skip
         counts = [len(trees.items[mesh]) for mesh in meshes]
-        self.key_bits = KEY_BITS - (len(meshes) - 1).bit_length()
-        items = np.zeros(sum(counts), layout.dtype("BuildItem"))
+        total = sum(counts)
+        digits = min(-(-(total.bit_length() + SPARE_BITS) // DIGIT_BITS), 32 // DIGIT_BITS)
+        self.key_bits = digits * DIGIT_BITS - (len(meshes) - 1).bit_length()
+        items = np.zeros(total, layout.dtype("BuildItem"))
         items["triangle"], items["geometry"] = np.concatenate([trees.items[mesh] for mesh in meshes]).T
         items["tree"] = np.repeat(np.arange(len(meshes)), counts)
         levels: list[list[np.ndarray]] = []
@@ -42,7 +44,7 @@ class Rebuild:
                 levels[number : number + 1] = [[*(levels[number] if number < len(levels) else []), rows]]
             item, cluster = item + count, cluster + plan.clusters
         chunks = [np.concatenate(rows) for rows in levels]
-        gl, total = context.gl, len(items)
+        gl = context.gl
         rounds = -(-total // (SORT_WIDTH * SORT_GROUPS))
         groups = -(-total // (SORT_WIDTH * rounds))
         self._owned = {
@@ -59,14 +61,14 @@ class Rebuild:
         self._steps: list[tuple[Program, dict[str, Any], tuple[int, int], tuple[int, int]]] = [
             (programs["keys"], {**given, "PairsOut": a}, (min(total, 65536), -(-total // 65536)), (64, 1))
         ]
-        for shift in range(0, KEY_BITS, DIGIT_BITS):
+        for shift in range(0, digits * DIGIT_BITS, DIGIT_BITS):
             own = {**given, "PairsIn": a, "PairsOut": b, "sort_shift": shift, "digit_total": groups << DIGIT_BITS}
             self._steps += [
                 (programs["count"], own, (groups, 1), (1, 1)), (programs["scan"], own, (1, 1), (1, 1)),
                 (programs["scatter"], own, (groups, 1), (1, 1)),
             ]  # fmt: skip
             a, b = b, a
-        first = 0
+        self._sorted, first = a, 0
         for rows in chunks:
             self._steps.append(
                 (programs["merge"], {**given, "PairsIn": a, "chunk_first": first}, (len(rows), 1), (1, 1))

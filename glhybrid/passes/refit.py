@@ -118,6 +118,11 @@ class Refit:
         """Of one refit."""
         return self._way.dispatches
 
+    @property
+    def builds(self) -> int:
+        """Dispatches of a build in compute; 0 where none is."""
+        return self._builder.dispatches if self._builder is not None else 0
+
     def refit(self) -> None:
         """New boxes, on the grids that run() gave last."""
         self._way.run()

@@ -31,8 +31,11 @@ def test_the_ring_has_the_triangles_asked_for_and_is_skinned_smoothly(triangles:
 def test_an_old_tree_costs_more_and_shows_the_same(context: "Context") -> None:
     scene, fresh = movers.ring(3000), []  # type: ignore[var-annotated]
     with Renderer(context=context) as renderer:
-        played = [motion.play(renderer, "ring", scene, SIZE, rebuild, 12, fresh) for rebuild in (1.0, 1.05, 0.0)]
-    every, often, never = played
+        policies = ((1.0, "cpu"), (1.05, "auto"), (0.0, "auto"), (1.0, "gpu"))
+        played = [motion.play(renderer, "ring", scene, SIZE, r, 12, fresh, builder) for r, builder in policies]
+    every, often, never, compute = played
+    assert compute.builds == 12 and compute.sah_ratio_mean < 1.1
+    assert compute.steps_per_ray_mean < 1.1 * every.steps_per_ray_mean
     assert (every.builds, never.builds) == (12, 0) and 0 < often.builds < 12
     assert every.age == [0] * 12 and never.age == list(range(1, 13)) and 0 in often.age and 1 in often.age
     assert every.sah_ratio == pytest.approx([1.0] * 12) and never.sah_ratio_mean > 1.2
@@ -58,13 +61,13 @@ def test_a_whole_report(
     ring, swarm, play = movers.ring, movers.swarm, motion.play
     monkeypatch.setattr(movers, "ring", lambda n: ring(min(n, 1000)))
     monkeypatch.setattr(movers, "swarm", lambda n: swarm(min(n // 10, 1200)))
-    monkeypatch.setattr(motion, "play", lambda r, n, s, z, b, _, f: play(r, n, s, z, b, 3, f))
+    monkeypatch.setattr(motion, "play", lambda r, n, s, z, b, _, f, w: play(r, n, s, z, b, 3, f, w))
     run = motion.run
     monkeypatch.setattr(motion, "run", lambda *a, **k: run(*a, **(k | {"context": context})))
     assert cli.main(["bench", "--motion", "--quick", "--size", "32x24", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
-    assert [row["rebuild"] for row in said["refit"]] == [1, 1.5, 2, 0] and said["machine"]["failures"] == []
-    assert [len(row["steps_per_ray"]) for row in said["refit"]] == [3] * 4
+    assert [row["rebuild"] for row in said["refit"]] == [1, 1, 1.5, 2, 0] and said["machine"]["failures"] == []
+    assert [len(row["steps_per_ray"]) for row in said["refit"]] == [3] * 5
     assert [(row["instances"], row["rebuild"]) for row in said["instances"]] == [
         (100, 1),
         (100, 0),
@@ -75,9 +78,10 @@ def test_a_whole_report(
     assert [row["way"] for row in said["readback"]] == ["drawn", "ring 1", "ring 2", "ring 3", "frames", "single"]
     assert all(row["per_second"] > 0 for row in said["readback"])
     report = run(quick=True, size=SIZE, context=context)
-    motion.show(replace(report, refit=report.refit[:2]))
+    assert all(d.build_ms > 0 and d.dispatches[0] == 1 < d.dispatches[1] for d in report.deformed)
+    motion.show(replace(report, refit=report.refit[:3]))
     out: Any = capsys.readouterr().out
-    assert "every frame" in out and "past 1.5" in out and "refitted" in out and "ring 3" in out
+    assert "every frame, gpu" in out and "past 1.5" in out and "refitted" in out and "ring 3" in out
 
 
 def test_refused(capsys: pytest.CaptureFixture[str]) -> None:
