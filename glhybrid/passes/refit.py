@@ -53,7 +53,7 @@ class Refit:
         resources: dict[str, Any] = {name: scene.resources[key].buffer for name, key in (
             ("Triangles", "triangles"), ("Vertices", "vertices"), ("Nodes", "nodes"), ("Slots", "slots"))}  # fmt: skip
         resources["RefitTrees"] = self._tree_buffer
-        way = Climb if self._held.on_gpu else Levels
+        way = Levels if context.device.software and not self._held.on_gpu else Climb
         self._way = way(context, shaders, features, resources, self._trees, sum(room))
         self._way.link(dict(enumerate(blases)))
         self._builder: Rebuild | None = None
