@@ -5,11 +5,8 @@ In motion each frame is the first sample of a smaller picture; at rest the full 
 
 import time as clock
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
 from typing import Any, Literal
-
-from numpy.typing import NDArray
 
 from glhybrid.errors import GlhybridError
 from glhybrid.pace import Interrupted
@@ -21,6 +18,7 @@ from glhybrid.timing import Progress
 from glhybrid.viewer import views
 from glhybrid.viewer.budget import REST_S, Budget, scaled
 from glhybrid.viewer.measure import Measure
+from glhybrid.viewer.painted import Painted
 from glhybrid.viewer.picture import Picture
 from glhybrid.viewer.session import Session
 from glhybrid.viewer.views import PICTURE
@@ -54,12 +52,8 @@ class Pictures:
         self.size = (1, 1)
         self.scale = 1.0
         self.frame_ms = 0.0  # of the last picture in motion
-        self._texture = texture
-        self._legend: views.Legend | None = None
         self._drawn: tuple[Any, ...] = ()
-        self._arrays: dict[Side, tuple[Any, Any]] = {}
-        self._painter = ThreadPoolExecutor(1, "glhybrid-views")
-        self._painting: dict[Side, tuple[Any, Future[tuple[U8, views.Legend]]]] = {}  # under way
+        self.painted = Painted(texture)
         self._good: dict[str, Settings] = {"a": session.a, "b": session.b}
         self._moved_at = 0.0
         self._lit: tuple[Scene, float] | None = None  # scene and time, the last time that nothing moved
@@ -121,7 +115,7 @@ class Pictures:
     def busy(self) -> bool:
         """Whether there will be more to show without any input."""
         return self._stuck is None and (
-            self._moving or self._next() is not None or self.measure.busy or bool(self._painting)
+            self._moving or self._next() is not None or self.measure.busy or self.painted.busy
         )
 
     def update(self, size: tuple[int, int]) -> bool:
@@ -199,7 +193,7 @@ class Pictures:
             self.sides[side].redisplay(settings)
         if self._other() is not None:
             self.measure.differ  # noqa: B018  # its programs are compiled before anybody waits for them
-        changed |= self._take_painted()
+        changed |= self.painted.take()
         if session.show != PICTURE and session.mode in ("single", "split"):
             changed |= self._make_arrays(pixels)
         if self._moving:
@@ -245,7 +239,7 @@ class Pictures:
         session, changed = self.session, False
         for side in self.shown():
             key = self._begun[self._as(side)], session.show, session.light_shown, session.a.exposure
-            if self._arrays.get(side, (None,))[0] == key or self._painting.get(side, (None,))[0] == key:
+            if self.painted.has(side, key):
                 continue
             start = clock.perf_counter()
             array = self.picture(side).array(session.show, None if self._moving else self._turn_for(self.picture(side)))
@@ -257,27 +251,13 @@ class Pictures:
             ev = self.sides["a"].exposure_ev() if exposure == "auto" else float(exposure)
             look = views.Look(ev, session.light_shown, names, session.scene.bounds())
             if not self._moving:
-                self._painting[side] = key, self._painter.submit(_paint, session.show, array, look)
+                self.painted.start(side, key, session.show, array, look)
             else:
-                self._painting.pop(side, None)
-                self._show_array(side, key, *_paint(session.show, array, look))
+                self.painted.now(side, key, session.show, array, look)
                 self.budget.note((clock.perf_counter() - start) * 1e3, self.scale)
                 self.frame_ms = (clock.perf_counter() - start) * 1e3
                 changed = True
         return changed
-
-    def _take_painted(self, wait: bool = False) -> bool:
-        """Arrays that have become colours; whether there were any. At full size that takes longer than an answer."""
-        done = [side for side, (_, future) in self._painting.items() if wait or future.done()]
-        for side in done:
-            key, future = self._painting.pop(side)
-            self._show_array(side, key, *future.result())
-        return bool(done)
-
-    def _show_array(self, side: Side, key: Any, pixels: U8, legend: views.Legend) -> None:
-        if side == self.shown()[0]:
-            self._legend = legend
-        self._arrays[side] = key, self._texture(f"array {side}", pixels)
 
     # What is shown
 
@@ -288,8 +268,8 @@ class Pictures:
         if mapped is not None:
             return mapped, True
         if session.show != PICTURE and session.mode in ("single", "split"):
-            array = self._arrays.get(side)
-            return (array[1], False) if array else None
+            array = self.painted.texture(side)
+            return (array, False) if array is not None else None
         picture = self.picture(side)
         image = picture.show(self._exposure_for(side))
         picture.filter(picture.size == self.size)
@@ -301,7 +281,7 @@ class Pictures:
         session = self.session
         if session.mode in ("difference", "flip"):
             return self.measure.legend if self.measure.map(self.shown()[0]) is not None else None
-        return self._legend if session.show != PICTURE else None
+        return self.painted.legend(self.shown()[0]) if session.show != PICTURE else None
 
     def _exposure_for(self, side: Side) -> float | None:
         """Other pictures at the exposure that was found for a, where both are looked at."""
@@ -353,7 +333,7 @@ class Pictures:
 
     def settle(self) -> None:
         """Waits for the errors."""
-        self._take_painted(wait=True)
+        self.painted.take(wait=True)
         while self.measure.settle():
             self._measure()
 
@@ -381,21 +361,15 @@ class Pictures:
             self.sides[idle].drop()
         self._begun.clear()
         self._lit = None
-        self._arrays.clear()
-        self._painting.clear()
+        self.painted.clear()
         for side in SIDES:
             self.measure.forget(side)
         self.budget = Budget.of(self._software)
 
     def close(self) -> None:
-        self._painter.shutdown(cancel_futures=True)
+        """Ends threads and processes. The textures are the viewer's."""
+        self.painted.close()
         self.measure.close()
-
-
-def _paint(name: str, array: NDArray[Any], look: views.Look) -> tuple[U8, views.Legend]:
-    """An array as a texture's pixels, (H, W, 4), and its legend."""
-    rgb, legend = views.colour(name, array, look)
-    return views.opaque(rgb), legend
 
 
 @lru_cache(64)
