@@ -275,6 +275,8 @@ def test_axes_show_all_values() -> None:
     linear = axis.fit([0, 90], 0, 100, log=False)
     assert linear.ticks()[0] == 0 and linear.ticks()[-1] <= linear.high
     assert [axis.shown(v) for v in (0, 0.0123456, 12.3456, 12345.6, 1e-6)] == ["0", "0.0123", "12.3", "12,346", "10⁻⁶"]
+    # Equal pictures, as those of a black scene are, have an endless PSNR.
+    assert [axis.shown(v) for v in (float("inf"), float("-inf"), float("nan"))] == ["∞", "-∞", "none"]
 
 
 def _points(count: int) -> list[charts.Point]:

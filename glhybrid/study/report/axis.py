@@ -67,7 +67,9 @@ def linear_ticks(low: float, high: float, most: int = 6) -> list[float]:
 
 
 def shown(value: float) -> str:
-    """A tick's or a figure's text: three digits, no exponent where it can be read without."""
+    """A tick's or a figure's text: three digits, no exponent where it can be read without. PSNR of equal images is ∞."""
+    if not math.isfinite(value):
+        return "none" if math.isnan(value) else "∞" if value > 0 else "-∞"
     if value == 0:
         return "0"
     size = abs(value)
