@@ -41,6 +41,31 @@ class FixedEpsilon(Subject):
         return out, grey(out * lambert * lamp.intensity / np.pi + 0.02 * found.reshape(shape))
 
 
+class DepthRebuilt(Subject):
+    """Points from a depth buffer of 24 bits, moved off by 256 steps of float32 along the normal (Waechter & Binder, "A
+    Fast and Robust Method for Avoiding Self-Intersection", Ray Tracing Gems (2019)), which asks for exact points."""
+
+    NEAR, FAR, BITS = 0.01, 1000.0, 24
+
+    def visibility(self, camera: int = 0, light: int = 0) -> tuple[F64, Picture]:
+        seen, lamp = self.case.seen(camera), self.case.scene.lights[light]
+        forward = -self.case.scene.cameras[camera].world_from_view[:3, 2]
+        n, f, steps = self.NEAR, self.FAR, 2**self.BITS - 1
+        lit, counted = np.zeros(seen.covered.shape), self.case.oracle.facing(seen, lamp)
+        origin, way, normal = seen.origin[counted], seen.direction[counted], seen.hit.normal[counted]
+        depth = (seen.position[counted] - origin) @ forward
+        stored = np.round(f / (f - n) * (1 - n / depth) * steps) / steps
+        point = origin + way * (n * f / (f - stored * (f - n)) / (way @ forward))[:, None]
+        point = point.astype(np.float32)
+        steps_off = np.where(point < 0, -1, 1) * (256 * normal).astype(np.int64)
+        by_steps = (point.view(np.int32) + steps_off).astype(np.int32).view(np.float32)
+        start = np.where(np.abs(point) < 1 / 32, point + normal / 65536, by_steps).astype(np.float64)
+        toward = np.broadcast_to(-np.asarray(lamp.direction), start.shape).copy()
+        lit[counted] = ~self.case.oracle.blocked(start, toward)
+        lambert = np.where(counted, np.maximum(seen.hit.normal @ -np.asarray(lamp.direction), 0), 0)
+        return lit, grey(lit * lambert * lamp.intensity / np.pi + 0.02 * seen.covered)
+
+
 class NaiveSlabs(Subject):
     """Boxes are tested by dividing by the direction: 0 over 0, and every comparison with it, is a miss."""
 
@@ -139,6 +164,7 @@ def _enters(corners: F64, origin: F64, direction: F64) -> Any:
 
 
 CONTROLS: dict[str, type[Subject]] = {
+    "depth-rebuilt": DepthRebuilt,
     "fixed-epsilon": FixedEpsilon,
     "moeller-trumbore": MoellerTrumbore,
     "naive-slabs": NaiveSlabs,

@@ -71,6 +71,33 @@ def ghost(subject: Subject, of: str, before: int = 12, after: int = 36, samples:
     return Measured(float(life), developed(shown))
 
 
+@quantity("%")
+def lag(subject: Subject, later: int = 8, before: int = 12) -> Measured:
+    """The share of a lamp's light that rough metal still shows so many frames after the lamp is gone, 0: the first.
+
+    Of what the technique itself shows at rest, with the lamp and without.
+    """
+    on, scene = _rough(subject), _switched_off(subject.case.scene)
+    film = subject.film([0.0] * before + [1.0] * (later + 1), scene)
+    lit, left = (np.mean(frames, axis=0).mean(-1) for frames in (film[before - 4 : before], film[-1:]))
+    dark = np.mean(subject.film([1.0] * (before + 4), scene)[-4:], axis=0).mean(-1)
+    on = on & (lit - dark > 0.1 * dark)
+    return Measured(100 * float((left - dark)[on].mean() / (lit - dark)[on].mean()), developed(film[-1]))
+
+
+def _switched_off(scene: Scene) -> Scene:
+    """The scene with a clip in which its lamps are there at 0 s and far away at 1 s."""
+    nodes, lights, channels = list(scene.nodes), [], []
+    for light in scene.lights:
+        place = np.eye(4)
+        place[:3, 3] = light.position
+        nodes += [Node("place", -1, matrix=place), Node("lamp", len(nodes))]
+        lights.append(replace(light, node=len(nodes) - 1))
+        away = np.array([[0, 0, 0], [0, -1e6, 0]], np.float32)
+        channels.append(Channel(len(nodes) - 1, "translation", "STEP", np.array([0, 1], np.float32), away))
+    return scene.replace(nodes=tuple(nodes), lights=tuple(lights), animations=(Animation("off", tuple(channels)),))
+
+
 def _vanishing(scene: Scene, of: str) -> tuple[Scene, Scene]:
     """The scene with a clip in which the objects of a name are there at 0 s and far away at 1 s; and without them."""
     nodes, instances, channels = list(scene.nodes), [], []
