@@ -25,7 +25,13 @@ class FrameConstants:
             name: self.rows[name][0] if self.rows[name].ndim > 1 else self.rows[name]
             for name in self.rows.dtype.names or ()
         }
+        floats = self.rows.view(np.float32)
+        self._previous_clip, self._clip = self._views["previous_clip_from_world"], self._views["clip_from_world"]
+        at = layout.dtype("FrameConstants").fields["eye_ws"][1] // 4  # then right_ws and up_ws, a number behind each
+        self._rays = floats[at : at + 12].reshape(3, 4)[:, :3]
         self._view: View | None = None  # of the look before
+        self._lens: tuple[object, ...] = ()  # what is the same in most views
+        self._lights = (0, 0, 0)  # first, end, count
         self._still = False  # the view before that was the same
         self.under(scene, settings)
 
@@ -52,33 +58,42 @@ class FrameConstants:
 
     def choose_lights(self, first: int, end: int) -> None:
         """Which lights the next dispatch is for: first..end-1."""
+        self._lights = (first, end, self._lights[2])
         self.put(light_first=first, light_end=end)
         self.upload()
 
     def look(self, view: View, light_count: int) -> None:
         """The fields of a camera, and where the one before was: in this frame's world, whose origin may be another."""
-        self.put(light_first=0, light_end=light_count, light_count=light_count)
-        before = self._view or view
+        if (lights := (0, light_count, light_count)) != self._lights:
+            self._lights = lights
+            self.put(light_first=0, light_end=light_count, light_count=light_count)
+        if (lens := (view.pixel_angle, view.orthographic, view.camera.near, view.size)) != self._lens:
+            self._lens = lens
+            self.put(
+                pixel_angle=view.pixel_angle,
+                orthographic=view.orthographic,
+                near=view.camera.near,
+                size_px=view.size,
+            )
+        before = self._view
         if view is before and self._still:
             return  # all there since the look before
+        if before is None:
+            self._clip[...] = view.clip_from_world.T  # columns first, as GLSL has it
+            before = view
         self._view, self._still = view, view is before
-        views, clip, eye = self._views, before.clip_from_world, before.eye
-        if (moved := view.origin - before.origin).any():
-            clip, eye = clip.copy(), eye - moved
+        eye, forward, origin = before.eye, before.forward.tolist(), before.origin
+        self._previous_clip[...] = self._clip
+        if view.origin.tolist() != origin.tolist():
+            moved = view.origin - origin
+            clip, eye = before.clip_from_world.copy(), eye - moved
             clip[:, 3] += clip[:, :3] @ moved
-        views["previous_clip_from_world"][...] = clip.T  # columns first, as GLSL has it
-        views["previous_depth"][...] = (*before.forward, -(before.forward @ eye))
-        views["clip_from_world"][...] = view.clip_from_world.T
-        views["eye_ws"][...] = view.eye
-        views["right_ws"][...] = view.right
-        views["up_ws"][...] = view.up
-        views["forward_ws"][...] = view.forward
-        self.put(
-            pixel_angle=view.pixel_angle,
-            orthographic=view.orthographic,
-            near=view.camera.near,
-            size_px=view.size,
-        )
+            self._previous_clip[...] = clip.T
+        x, y, z = eye.tolist()
+        self._views["previous_depth"][...] = (*forward, -(forward[0] * x + forward[1] * y + forward[2] * z))
+        self._clip[...] = view.clip_from_world.T
+        self._rays[...] = view.rays
+        self._views["forward_ws"][...] = view.forward
 
     def release(self) -> None:
         self.buffer.release()

@@ -165,7 +165,7 @@ class GpuScene:
 
     def rebase(self, origin: F64) -> None:
         """Moves the world so that `origin` (3,) float64 is zero, and uploads what that changes: matrices and lights."""
-        if origin is self._origin or (self._origin is not None and (origin == self._origin).all()):
+        if origin is self._origin or (self._origin is not None and origin.tolist() == self._origin.tolist()):
             if not self._stale:
                 return
             first, last = self._span
