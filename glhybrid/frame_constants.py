@@ -27,7 +27,7 @@ class FrameConstants:
         }
         floats = self.rows.view(np.float32)
         self._previous_clip, self._clip = self._views["previous_clip_from_world"], self._views["clip_from_world"]
-        at = layout.dtype("FrameConstants").fields["eye_ws"][1] // 4  # then right_ws and up_ws, a number behind each
+        at = (self.rows.dtype.fields or {})["eye_ws"][1] // 4  # then right_ws and up_ws, a number behind each
         self._rays = floats[at : at + 12].reshape(3, 4)[:, :3]
         self._view: View | None = None  # of the look before
         self._lens: tuple[object, ...] = ()  # what is the same in most views
