@@ -1,12 +1,15 @@
 """Numba, used in one place: where compiled kernels are kept and how a kernel is declared.
 
 Kernels state their signature, so they compile when their module is imported, once per machine and source version, and
-load from the cache afterwards (milliseconds). The cache folder is NUMBA_CACHE_DIR if set, else `numba` under
+load from the cache afterwards (milliseconds). Numba looks at a kernel's own file for changes; those that it borrows
+compiled functions from are in the name of the folder. The cache folder is NUMBA_CACHE_DIR if set, else `numba` under
 `cache_dir()`. Chosen over Numba's default, `__pycache__` beside the source, because that is often read-only or shared;
 where no folder is writable the kernels still work and compile anew in each process.
 """
 
+import hashlib
 import os
+import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -36,6 +39,18 @@ def _writable(folder: Path) -> bool:
         return False
 
 
+def _borrowed(function: Any) -> str:
+    """A name for the state of the other files whose compiled functions the function's module imports; "" for none."""
+    own = function.__module__
+    others = {
+        thing.__module__
+        for thing in function.__globals__.values()
+        if (hasattr(thing, "py_func") or hasattr(thing, "_defn")) and thing.__module__ != own  # njit, intrinsic
+    }
+    files = [Path(str(sys.modules[name].__file__)) for name in sorted(others)]
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12] if files else ""
+
+
 def kernel(signature: Any, **options: Any) -> Callable[[Any], Any]:
     """`numba.njit` for that signature, without the GIL, cached on disk where a folder is writable."""
     import numba
@@ -46,6 +61,7 @@ def kernel(signature: Any, **options: Any) -> Callable[[Any], Any]:
     def compile_now(function: Any) -> Any:
         folder = Path(config.CACHE_DIR) if config.CACHE_DIR else cache_dir() / "numba"
         off = os.environ.get("GLHYBRID_CACHE") == "off" and not config.CACHE_DIR
+        folder /= _borrowed(function)
         cached = not off and _writable(folder)
         before, config.CACHE_DIR = (
             config.CACHE_DIR,

@@ -165,22 +165,22 @@ def build_blas(
         slots = np.concatenate([_triangle_slots(position, *ids), _sphere_slots(spheres, *sphere_ids)])
         slots = slots[identity(fragments)]
     else:
-        from glhybrid.bvh import build
+        from glhybrid.bvh import leaves
 
         workers = threads_available() if threads is None else threads
-        fragments, centroids = build.make_fragments(position, *grid, pad, workers)
+        fragments, centroids = leaves.make_fragments(position, *grid, pad, workers)
         if len(spheres):
             fragments = np.concatenate([fragments, around])
-            centroids = np.maximum(centroids, build.centroid_bounds(around))
+            centroids = np.maximum(centroids, leaves.centroid_bounds(around))
         pieces = None
         if split and flat:
             pieces = _pieces(fragments, flat, position, grid, pad, workers)
         tree = _grow(fragments, centroids, grid[1], max_leaf, reinsert, workers)
         if pieces is not None:
-            other = _grow(pieces, build.centroid_bounds(pieces), grid[1], max_leaf, reinsert, workers)
+            other = _grow(pieces, leaves.centroid_bounds(pieces), grid[1], max_leaf, reinsert, workers)
             if other.cost < presplit.KEPT * tree.cost:
                 tree, fragments = other, pieces
-        slots = build.make_slots(position, *ids, fragments, workers)
+        slots = leaves.make_slots(position, *ids, fragments, workers)
         if len(spheres):
             order = identity(fragments)
             slots[order >= flat] = _sphere_slots(spheres, *sphere_ids)[order[order >= flat] - flat]
@@ -202,9 +202,9 @@ def _grow(fragments: U16, centroids: U16, grid_step: F32, max_leaf: int, reinser
 
 def _pieces(fragments: U16, flat: int, position: F32, grid: tuple[F32, F32], pad: float, workers: int) -> U16 | None:
     """The fragments with those of some triangles in pieces; None where no triangle is worth it."""
-    from glhybrid.bvh import build
+    from glhybrid.bvh import leaves
 
-    area = build.half_surfaces(fragments[:flat], grid[1], workers)
+    area = leaves.half_surfaces(fragments[:flat], grid[1], workers)
     budget = min(int(presplit.SHARE * flat), MAX_SLOTS - 1 - len(fragments))
     more, made = presplit.split(fragments[:flat], area, position, *grid, pad, budget)
     return np.ascontiguousarray(np.concatenate([more, fragments[flat:]])) if len(made) else None

@@ -13,8 +13,10 @@ evenly tessellated things 0.93 to 1.00; for a fifth to four fifths more time to 
 import numpy as np
 from numba import types
 
-from glhybrid.bvh.build import clear, grow_tree, half_area, half_surfaces, make_fragments, make_slots, merge
+from glhybrid.bvh.boxes import clear, half_area, merge
+from glhybrid.bvh.build import grow_tree
 from glhybrid.bvh.fragments import LEAF, Grown
+from glhybrid.bvh.leaves import half_surfaces, make_fragments, make_slots
 from glhybrid.jit import kernel
 from glhybrid.scene import F32, U16
 

@@ -66,10 +66,10 @@ def build_tlas(boxes: F32 | F64, moving: bool = False, threads: int | None = Non
     if len(boxes) <= (FEW if moving else SMALL):
         tree = grow_small(fragments, grid[1], max_leaf=1)
     else:
-        from glhybrid.bvh import build, reinsert
+        from glhybrid.bvh import build, leaves, reinsert
 
         workers = threads_available() if threads is None else threads
-        tree = build.grow_tree(fragments, build.centroid_bounds(fragments), grid[1], 1, workers)
+        tree = build.grow_tree(fragments, leaves.centroid_bounds(fragments), grid[1], 1, workers)
         if not moving:
             tree = reinsert.improve(tree, fragments, grid[1])
     refs = tree.nodes[:, 3::4]

@@ -415,6 +415,23 @@ def test_nothing_is_written_where_the_cache_is_off(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [script]
 
 
+def test_a_kernel_is_compiled_anew_when_what_it_borrows_changes(tmp_path: Path) -> None:
+    """Numba itself looks at the kernel's own file only."""
+    (tmp_path / "kernel.py").write_text(
+        "import sys\nfrom numba import types\nfrom borrowed import add\nfrom glhybrid.jit import kernel\n\n"
+        "@kernel(types.int64(types.int64))\ndef f(x):\n    return add(x)\n\n"
+        "print(f(1), sum(f.stats.cache_hits.values()))\n"
+    )
+    folders = {"GLHYBRID_CACHE": str(tmp_path / "cache"), "PYTHONPATH": str(ROOT), "PATH": os.environ["PATH"]}
+    said = []
+    for more in (1, 1, 2):
+        (tmp_path / "borrowed.py").write_text(f"from numba import njit\n\n@njit\ndef add(x):\n    return x + {more}\n")
+        run = [sys.executable, "-B", tmp_path / "kernel.py"]
+        done = subprocess.run(run, env=folders, check=True, timeout=300, capture_output=True, text=True)
+        said.append(done.stdout.split())
+    assert said == [["2", "0"], ["2", "1"], ["3", "0"]]
+
+
 def test_cache_can_be_turned_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GLHYBRID_CACHE", "off")
     monkeypatch.setattr(cache, "write", lambda *_: pytest.fail("kept"))
