@@ -14,7 +14,7 @@ from glhybrid.deform import Deformer, deformers, influences, morph_weights, pose
 from glhybrid.errors import GeometryError
 from glhybrid.keys import MANY
 from glhybrid.pose import Pose
-from glhybrid.scene import F64, Animation, Camera, Light, Scene, Triangles
+from glhybrid.scene import F64, Animation, Camera, Light, Scene, Sphere, Triangles
 from glhybrid.settings import Settings
 
 SLACK = 1e-4  # of a box's size, that deformed vertices computed in float32 may lie outside
@@ -68,6 +68,12 @@ class Motion:
     def __init__(self, scene: Scene, clip: Animation) -> None:
         self.scene, self.clip = scene, clip
         self.deformers = deformers(scene, clip)
+        for mesh in (scene.meshes[d.mesh] for d in self.deformers):
+            if any(isinstance(p, Sphere) for p in mesh.primitives):
+                raise GeometryError(
+                    f'{scene.name}: clip "{clip.name}" deforms mesh "{mesh.name}", which holds an analytic sphere, and '
+                    "spheres do not bend: give it a mesh of its own, or make triangles of it"
+                )
         self._player = posing.Player(scene, clip)
         rest = posing.Pose(self._player.rest, {})
         self._lists = scene.replace(instances=())  # what place() moves object by object: lights and cameras

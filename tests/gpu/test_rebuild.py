@@ -15,10 +15,13 @@ from glhybrid import bvh, layout
 from glhybrid.bench import movers
 from glhybrid.bvh import Blas
 from glhybrid.bvh.fragments import LEAF
+from glhybrid.errors import GeometryError
 from glhybrid.load import load
+from glhybrid.motion import Motion
+from glhybrid.passes import rebuild as building
 from glhybrid.passes.refit_ways import parents_of
 from glhybrid.renderer import Renderer
-from glhybrid.scene import Animation, Instance, Material, Mesh, MorphTarget, Node, Scene
+from glhybrid.scene import Animation, Instance, Material, Mesh, MorphTarget, Node, Scene, Sphere
 from glhybrid.settings import Settings
 
 if TYPE_CHECKING:
@@ -130,8 +133,10 @@ def test_many_trees_are_built_at_once(context: "Context") -> None:
     assert dispatches == [1 + 3 * 4 + 2, 1 + 3 * 3 + 2]  # keys, digits, levels
 
 
-def test_keys_are_sorted(context: "Context") -> None:
-    """Stable, and the Morton codes are those of the boxes' centres in NumPy."""
+@pytest.mark.parametrize("groups", [256, 3, 1])
+def test_keys_are_sorted(context: "Context", monkeypatch: pytest.MonkeyPatch, groups: int) -> None:
+    """Stable, and the Morton codes are those of the boxes' centres in NumPy; also where a group sorts many rounds."""
+    monkeypatch.setattr(building, "SORT_GROUPS", groups)
     parts = shapes()
     with MovingTracer(
         context, morphing(parts["soup"], parts["thin"], parts["equal"]), rebuild=1, builder="gpu"
@@ -244,6 +249,13 @@ def test_a_hundred_frames(context: "Context") -> None:
         assert refit is tracer.mover.refit and refit.rebuilt == 100
         assert not np.frombuffer(refit._way._arrived.read(), np.uint32).any()
         prove(tracer)
+
+
+def test_spheres_do_not_bend(context: "Context") -> None:
+    scene = morphing(shapes()["five"])
+    body = replace(scene.meshes[0], primitives=(*scene.meshes[0].primitives, Sphere(0.5)))
+    with pytest.raises(GeometryError, match='clip "shake" deforms mesh "soup 0", which holds an analytic sphere'):
+        Motion(scene.replace(meshes=(body,)), scene.animations[0])
 
 
 def test_parents() -> None:
