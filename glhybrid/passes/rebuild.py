@@ -1,5 +1,6 @@
 """Trees over moved vertices, built in compute: Morton codes, a radix sort, and merging by levels (bvh/merging.py)."""
 
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -36,13 +37,11 @@ class Rebuild:
         items = np.zeros(total, layout.dtype("BuildItem"))
         items["triangle"], items["geometry"] = np.concatenate([trees.items[mesh] for mesh in meshes]).T
         items["tree"] = np.repeat(np.arange(len(meshes)), counts)
-        levels: list[list[np.ndarray]] = []
-        item = cluster = 0
+        plans, item, cluster = [], 0, 0
         for tree, (mesh, count) in enumerate(zip(meshes, counts, strict=True)):
-            plan = merging(count, tree, item, trees.slot_first(mesh), cluster)
-            for number, rows in enumerate(plan.levels):
-                levels[number : number + 1] = [[*(levels[number] if number < len(levels) else []), rows]]
-            item, cluster = item + count, cluster + plan.clusters
+            plans.append(merging(count, tree, item, trees.slot_first(mesh), cluster))
+            item, cluster = item + count, cluster + plans[-1].clusters
+        levels = zip_longest(*(plan.levels for plan in plans), fillvalue=np.zeros(0, layout.dtype("BuildChunk")))
         chunks = [np.concatenate(rows) for rows in levels]
         gl = context.gl
         rounds = -(-total // (SORT_WIDTH * SORT_GROUPS))
@@ -51,6 +50,7 @@ class Rebuild:
             "BuildItems": gl.buffer(items), "BuildChunks": gl.buffer(np.concatenate(chunks)),
             "PairsA": gl.buffer(reserve=8 * total), "PairsB": gl.buffer(reserve=8 * total),
             "Digits": gl.buffer(reserve=(4 << DIGIT_BITS) * groups),
+            "Places": gl.buffer(reserve=(4 << DIGIT_BITS) * groups),
             "Clusters": gl.buffer(reserve=16 * max(cluster, 1)),
         }  # fmt: skip
         given = {**resources, **self._owned, "item_total": total, "sort_rounds": rounds}
@@ -62,7 +62,7 @@ class Rebuild:
             (programs["keys"], {**given, "PairsOut": a}, (min(total, 65536), -(-total // 65536)), (64, 1))
         ]
         for shift in range(0, digits * DIGIT_BITS, DIGIT_BITS):
-            own = {**given, "PairsIn": a, "PairsOut": b, "sort_shift": shift, "digit_total": groups << DIGIT_BITS}
+            own = {**given, "PairsIn": a, "PairsOut": b, "sort_shift": shift, "sort_groups": groups}
             self._steps += [
                 (programs["count"], own, (groups, 1), (1, 1)), (programs["scan"], own, (1, 1), (1, 1)),
                 (programs["scatter"], own, (groups, 1), (1, 1)),

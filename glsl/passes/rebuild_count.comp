@@ -4,7 +4,7 @@
 layout(local_size_x = 512) in;
 
 layout(std430) readonly buffer PairsIn { uvec2 pairs_in[]; };
-layout(std430) writeonly buffer Digits { uint digits[]; };             // by value, then group
+layout(std430) writeonly buffer Digits { uint digits[]; };             // by group, then value
 uniform int item_total;
 uniform int sort_shift;
 uniform int sort_rounds;                                               // of 512 pairs a group
@@ -22,5 +22,5 @@ void main() {
     }
     memoryBarrierShared();
     barrier();
-    if (i < 256u) digits[i * gl_NumWorkGroups.x + group] = occurs[i];
+    if (i < 256u) digits[256u * group + i] = occurs[i];
 }

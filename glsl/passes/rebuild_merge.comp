@@ -55,9 +55,10 @@ uint rank(uint word, uint i) {
     return uint(sum);
 }
 
-uint bits_set(uint word) {
+// Of the first `count` threads.
+uint bits_set(uint word, uint count) {
     int sum = 0;
-    for (uint k = word; k < word + 32u; k++) sum += bitCount(bits[k]);
+    for (uint k = word; k < word + ((count + 31u) >> 5u); k++) sum += bitCount(bits[k]);
     return uint(sum);
 }
 
@@ -125,7 +126,7 @@ void main() {
     memoryBarrierShared();
     barrier();
     if (own.w != ID_NONE) put(rank(0u, i), own.xyz, own.w, 0u);
-    if (i == 0u) live = bits_set(0u);
+    if (i == 0u) live = bits_set(0u, chunk.count);
     memoryBarrierShared();
     barrier();
 
@@ -174,8 +175,8 @@ void main() {
         memoryBarrierShared();
         barrier();
         if (i == 0u) {
-            live = bits_set(0u);
-            made += bits_set(32u);
+            live = bits_set(0u, count);
+            made += bits_set(32u, count);
             as_they_come = turn + 1u >= chunk.free_turns || live == count || as_they_come;
         }
         memoryBarrierShared();

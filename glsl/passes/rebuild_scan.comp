@@ -1,20 +1,22 @@
-// passes/rebuild_scan.comp -- sums of all counts before each one, in place: where each value of each group goes. One group.
+// passes/rebuild_scan.comp -- where each value of each work group goes: sums of all counts before it. One group; four threads
+// a value, which read neighbouring words together.
 #include "layout.glsl"
 
 layout(local_size_x = 1024) in;
 
-layout(std430) buffer Digits { uint digits[]; };
-uniform int digit_total;
+layout(std430) readonly restrict buffer Digits { uint digits[]; };     // by group, then value
+layout(std430) writeonly restrict buffer Places { uint places[]; };
+uniform int sort_groups;
 
-shared uint sums[1024];
+shared uint sums[1024];                                                // by value, then quarter of the groups
 
 void main() {
-    uint i = gl_LocalInvocationID.x;
-    uint share = (uint(digit_total) + 1023u) / 1024u;
-    uint first = min(i * share, uint(digit_total)), last = min(first + share, uint(digit_total));
+    uint i = gl_LocalInvocationID.x, value = i & 255u, quarter = i >> 8u, row = 4u * value + quarter;
+    uint share = (uint(sort_groups) + 3u) / 4u;
+    uint first = min(quarter * share, uint(sort_groups)), last = min(first + share, uint(sort_groups));
     uint own = 0u;
-    for (uint k = first; k < last; k++) own += digits[k];
-    sums[i] = own;
+    for (uint group = first; group < last; group++) own += digits[256u * group + value];
+    sums[row] = own;
     memoryBarrierShared();
     barrier();
     for (uint reach = 1u; reach < 1024u; reach *= 2u) {
@@ -25,10 +27,9 @@ void main() {
         memoryBarrierShared();
         barrier();
     }
-    uint sum = sums[i] - own;
-    for (uint k = first; k < last; k++) {
-        uint count = digits[k];
-        digits[k] = sum;
-        sum += count;
+    uint sum = sums[row] - own;
+    for (uint group = first; group < last; group++) {
+        places[256u * group + value] = sum;
+        sum += digits[256u * group + value];
     }
 }

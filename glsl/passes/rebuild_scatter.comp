@@ -4,7 +4,7 @@
 layout(local_size_x = 512) in;
 
 layout(std430) readonly buffer PairsIn { uvec2 pairs_in[]; };
-layout(std430) readonly buffer Digits { uint digits[]; };
+layout(std430) readonly buffer Places { uint places[]; };              // by group, then value
 layout(std430) writeonly buffer PairsOut { uvec2 pairs_out[]; };
 uniform int item_total;
 uniform int sort_shift;
@@ -15,7 +15,7 @@ shared uint has[256 * 16];                                             // by val
 
 void main() {
     uint i = gl_LocalInvocationID.x, group = gl_WorkGroupID.x;
-    if (i < 256u) place[i] = digits[i * gl_NumWorkGroups.x + group];
+    if (i < 256u) place[i] = places[256u * group + i];
     for (uint k = 0u; k < uint(sort_rounds); k++) {
         for (uint w = i; w < 4096u; w += 512u) has[w] = 0u;
         memoryBarrierShared();
