@@ -5,7 +5,8 @@ in where the maps look from (shadow_fit.py). Opaque surfaces and cut-outs cast, 
 rays; blended ones do not: a depth map knows no tint. Hits of reflection rays and blended layers use the same maps.
 
 All maps are tiles of one 32-bit float atlas. Those that follow the camera, cascades, are drawn every frame, as a moving
-one needs it, so that their time is that of motion; others once, and again when what they depend on has changed.
+one needs it, so that their time is that of motion, but for the instances beside them (shadow_cull.py); others once, and
+again when what they depend on has changed.
 """
 
 from typing import Any
@@ -13,7 +14,7 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from glhybrid import draws, shadow_fit, techniques
+from glhybrid import draws, shadow_cull, shadow_fit, techniques
 from glhybrid.context import Context
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.needs import Features
@@ -23,6 +24,7 @@ from glhybrid.shaders import Program, Shaders
 from glhybrid.targets import Targets
 from glhybrid.view import View
 
+MOST_CULLED = 100_000  # instances; more of them take the host longer to look through than is gained
 LIGHTS_AT_ONCE = 8  # in a dispatch: llvmpipe ends all loops of an invocation at 65,535 turns, taps included
 
 
@@ -58,6 +60,10 @@ class ShadowMap:
         }  # fmt: skip
         self.resources |= uniforms(settings)
         self._program = shaders.compute("shadow_map", features)
+        self._cull: dict[int, tuple[shadow_cull.Commands, Any]] = {}  # by batch; where commands of cascades are kept
+        self._boxes: Any = None  # of what is culled
+        self._culled: dict[tuple[int, int], tuple[int, int]] = {}  # by batch and map: first command and count
+        self._culled_for = b""
         self._batches = self._make_batches(shaders, features)
 
     def _own(self, thing: Any) -> Any:
@@ -80,6 +86,8 @@ class ShadowMap:
                 program = shaders.raster("shadow_map", features.replace(alpha_test=masked, sphere_proxy=False))
                 layout = [(vertices, "3f 20x", "in_position"), (per_instance, "2u4/i", "in_draw")]
                 vao = self._own(gl.vertex_array(program.program, layout, index_buffer=index))
+                if self._settings.shadows == "csm":
+                    self._make_cull(len(made), shadow_cull.Commands(commands, pairs))
                 made.append((program, vao, self._own(gl.buffer(np.array(commands, np.uint32))), len(commands)))
         if spheres := draws.sphere_rows(geometry):
             data = np.zeros(len(spheres), [("sphere", np.float32, 4), ("draw", np.uint32, 2)])
@@ -88,6 +96,34 @@ class ShadowMap:
             content = [(self._own(gl.buffer(data)), "4f 2u4/i", "in_sphere", "in_draw")]
             made.append((program, self._own(gl.vertex_array(program.program, content)), None, len(spheres)))
         return made
+
+    def _make_cull(self, batch: int, commands: shadow_cull.Commands) -> None:
+        """Room for a batch's commands in every cascade that follows the camera."""
+        suns = sum(light.kind == "directional" for light in self._scene.lights)
+        cascades = suns * (self._fit.cascades - 1)
+        if cascades and len(self._scene.geometry.instance_mesh) > 1 and commands.most <= MOST_CULLED:
+            if self._boxes is None:
+                self._boxes = shadow_cull.boxes(self._scene.geometry)
+            buffer = self._own(self._context.gl.buffer(reserve=20 * cascades * commands.most))
+            self._cull[batch] = commands, buffer
+
+    def _choose(self, origin: F64, moving: bool) -> None:
+        """Commands of each batch for each map that follows the camera, once a view."""
+        maps = np.flatnonzero(self._follow)
+        key = self._maps[maps].tobytes() + origin.tobytes()
+        if moving:
+            self._culled.clear()
+        elif key != self._culled_for and self._cull:
+            self._culled_for = key
+            left_out = [shadow_cull.beside(self._maps[k], self._boxes - origin) for k in maps]
+            for batch, (commands, buffer) in self._cull.items():
+                rows = [commands.without(out) for out in left_out]
+                first = 0
+                for k, some in zip(maps.tolist(), rows, strict=True):
+                    self._culled[batch, k] = first, len(some)
+                    first += len(some)
+                if first:
+                    buffer.write(np.concatenate(rows))
 
     @property
     def bytes(self) -> int:
@@ -106,6 +142,7 @@ class ShadowMap:
         if moving is not None:
             self._drawn[:] = 0
         self._maps, self._follow = maps, shadow_fit.following(self._scene.lights, lights, len(maps))
+        self._choose(view.origin, moving is not None)
         self._tiles = maps["corner"] // self._fit.resolution @ (1, self._across)
         self.resources["ShadowMaps"].write(maps)
         self.resources["ShadowLights"].write(lights)
@@ -130,12 +167,17 @@ class ShadowMap:
             tile = (*self._maps[k]["corner"].tolist(), size, size)
             self._framebuffer.viewport = self._framebuffer.scissor = tile
             self._context.raw.clear_depth()
-            for program, vao, indirect, count in self._batches:
+            for batch, (program, vao, indirect, count) in enumerate(self._batches):
+                first = 0
+                if self._follow[k] and (batch, k) in self._culled:
+                    indirect, (first, count) = self._cull[batch][1], self._culled[batch, k]
+                if not count:
+                    continue
                 program.bind(resources | {"map_index": k})
                 if indirect is None:
                     vao.render(moderngl.TRIANGLES, draws.SPHERE_VERTICES, instances=count)
                 else:
-                    vao.render_indirect(indirect, moderngl.TRIANGLES, count)
+                    vao.render_indirect(indirect, moderngl.TRIANGLES, count, first=first)
         self._framebuffer.scissor = None
         gl.enable_only(moderngl.NOTHING)
         gl.memory_barrier()

@@ -13,10 +13,12 @@ from rays import moved, piece, say, scene_of
 from shadow_scenes import FACING, WHITE, exact_visibility, facing, half_plane, posts, room
 
 import glhybrid as gh
+from glhybrid import shadow_cull
 from glhybrid.errors import SettingError
 from glhybrid.image import Frame
 from glhybrid.layout import CONSTANTS
 from glhybrid.load.shapes import box
+from glhybrid.passes import shadow_map
 from glhybrid.passes.shadow_map import ShadowMap
 from glhybrid.scene import (
     F64,
@@ -465,3 +467,42 @@ def test_a_cut_search_is_said(renderer: gh.Renderer, context: "Context") -> None
         penumbra = (frame["visibility"][..., 0] > 0) & (frame["visibility"][..., 0] < 1)
         assert penumbra.any()
         assert ((frame["reason_shadows"] == CONSTANTS["REASON_SEARCH"]) == (penumbra & cut)).all()
+
+
+@pytest.mark.parametrize("levels", [1, 2])
+def test_what_lies_beside_a_cascade_is_not_drawn(
+    context: "Context", monkeypatch: pytest.MonkeyPatch, levels: int
+) -> None:
+    """And nobody sees a difference: not between fewer draws and all, near the middle of the posts and turned away."""
+    scene, _, _ = posts()
+    mirrored = np.diag([-1.0, 1.0, 1.0, 1.0])
+    scene = scene.replace(instances=(*scene.instances, Instance(1, moved(np.array((1.5, 0.6, 1.0))) @ mirrored)))
+    chosen = settings("csm", {"resolution": 256}).replace(levels=levels)
+    cameras = [Camera.look_at(eye, at, fov_y=0.5) for eye, at in (((1, 1, 4), (0, 0, 0)), ((1, 1, 4), (1, 0.5, 9)))]
+    found = []
+    for most in (0, shadow_map.MOST_CULLED):
+        monkeypatch.setattr(shadow_map, "MOST_CULLED", most)
+        with gh.Renderer(context=context) as renderer:
+            for camera in cameras:
+                found.append(renderer.render(scene, camera, (160, 120), chosen, ("visibility",))["visibility"])
+            maps = renderer._staged.passes.shadow  # type: ignore[union-attr]
+            assert isinstance(maps, ShadowMap)
+            some = [count for _, count in maps._culled.values()]
+            assert bool(some) == (most > 0 and levels == 2)
+            assert not some or min(some) < 5
+    for all_drawn, few_drawn in zip(found[:2], found[2:], strict=True):
+        assert np.array_equal(all_drawn, few_drawn) and 0 < all_drawn.mean() < 1
+
+
+def test_draws_without_some_instances() -> None:
+    """Every pair that stays is drawn once by its command, and no other."""
+    rng = np.random.default_rng(3)
+    pairs = [(int(i), 0) for i in rng.permutation(40)]
+    rows = [(3, 7, 0, 0, 20), (6, 1, 3, 0, 0), (9, 12, 9, 0, 5), (3, 0, 0, 0, 4)]
+    commands = shadow_cull.Commands(rows, pairs)
+    for share in (0.0, 0.3, 0.7, 1.0):
+        out = rng.random(40) < share
+        got = commands.without(out)
+        drawn = [(c, i, pairs[b + k]) for c, n, i, _, b in got.tolist() for k in range(n)]
+        want = [(c, i, pairs[b + k]) for c, n, i, _, b in rows for k in range(n) if not out[pairs[b + k][0]]]
+        assert drawn == want and len(got) <= commands.most
