@@ -156,7 +156,7 @@ class _Parts:
 
     def pictures(self) -> tuple[Any, Any]:
         """The whole, and a picture one standard deviation away from it."""
-        whole = mean_of_means(self.sums) / self.count
+        whole = mean_of_means(self.sums).astype(np.float64) / self.count
         a, b = (mean_of_means(self.sums[half::2]) / self.count for half in range(2))
         return whole, np.maximum(whole + (a - b) / 2, 0)
 
