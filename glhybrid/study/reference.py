@@ -30,7 +30,7 @@ from glhybrid.study.robust import mean_of_means
 log = logging.getLogger("glhybrid")
 Progress = Callable[[str, int, int], None]
 PARTS = 16
-LARGEST_BATCH = 64  # paths a pixel of a part, before all are looked at
+BATCH, LARGEST_BATCH = 4, 64  # paths a pixel of a part, before all are looked at: they double
 LOOK_SHARE = 4.0  # times as long as a look at its noise takes it is worked on before the next
 FLIP_POWER = 2.0  # paths grow by it as the noise falls
 LEAST = 64  # paths a pixel, whatever the time: fewer tell nothing apart
@@ -110,7 +110,7 @@ def converge(
         aim = min(most, parts.samples * (noise / max(target, 1e-9)) ** FLIP_POWER) if known else most
         if enough:
             break
-        count = min(LARGEST_BATCH, max(1, parts.count // 2))
+        count = min(parts.count or BATCH, LARGEST_BATCH, max(1, (most - parts.samples) // PARTS))
         if parts.count and math.isfinite(budget_s):
             rate = (parts.seconds + 1e-9) / parts.samples
             count = max(1, min(count, int((budget_s - spent) / rate / PARTS) + 1))
