@@ -7,13 +7,17 @@ compiled functions from are in the name of the folder. The cache folder is NUMBA
 where no folder is writable the kernels still work and compile anew in each process.
 """
 
+import functools
 import hashlib
+import logging
 import os
 import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+log = logging.getLogger("glhybrid")
 
 
 def cache_dir() -> Path:
@@ -51,6 +55,13 @@ def _borrowed(function: Any) -> str:
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12] if files else ""
 
 
+@functools.cache
+def _announce(kept: bool) -> None:
+    """Says so before kernels compile that never have: it takes some seconds, and nothing else shows it."""
+    again = "once" if kept else "no folder keeps them, so in every process"
+    log.info("compiling the kernels of the tree builder: some seconds, %s", again)
+
+
 def kernel(signature: Any, **options: Any) -> Callable[[Any], Any]:
     """`numba.njit` for that signature, without the GIL, cached on disk where a folder is writable."""
     import numba
@@ -63,6 +74,8 @@ def kernel(signature: Any, **options: Any) -> Callable[[Any], Any]:
         off = os.environ.get("GLHYBRID_CACHE") == "off" and not config.CACHE_DIR
         folder /= _borrowed(function)
         cached = not off and _writable(folder)
+        if not cached or next(folder.rglob("*.nbi"), None) is None:
+            _announce(cached)
         before, config.CACHE_DIR = (
             config.CACHE_DIR,
             str(folder),

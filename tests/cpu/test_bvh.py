@@ -432,6 +432,21 @@ def test_a_kernel_is_compiled_anew_when_what_it_borrows_changes(tmp_path: Path) 
     assert said == [["2", "0"], ["2", "1"], ["3", "0"]]
 
 
+def test_the_first_compilation_is_said_and_no_other(tmp_path: Path) -> None:
+    script = tmp_path / "kernels.py"
+    script.write_text(
+        "import logging\nfrom numba import types\nfrom glhybrid.jit import kernel\nlogging.basicConfig(level='INFO')\n"
+        "@kernel(types.int64(types.int64))\ndef f(x):\n    return x + 1\n"
+        "@kernel(types.int64(types.int64))\ndef g(x):\n    return x + 2\n"
+    )
+    for cache_folder, said in ((str(tmp_path / "kept"), 1), (str(tmp_path / "kept"), 0), ("off", 1)):
+        kept = {"GLHYBRID_CACHE": cache_folder, "PYTHONPATH": str(ROOT), "PATH": os.environ["PATH"]}
+        done = subprocess.run(
+            [sys.executable, script], env=kept, check=True, timeout=300, capture_output=True, text=True
+        )
+        assert done.stderr.count("compiling the kernels") == said, done.stderr
+
+
 def test_cache_can_be_turned_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GLHYBRID_CACHE", "off")
     monkeypatch.setattr(cache, "write", lambda *_: pytest.fail("kept"))
