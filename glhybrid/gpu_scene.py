@@ -139,6 +139,11 @@ class GpuScene:
         return self.trees.stack_needed() if self.trees is not None else 0
 
     @property
+    def top(self) -> Any:
+        """The top-level tree; None without one. Another object whenever it has changed."""
+        return self.trees.top if self.trees is not None else None
+
+    @property
     def top_root(self) -> int:
         """Row of nodes of the top-level tree."""
         return self.trees.top_root if self.trees is not None else 0

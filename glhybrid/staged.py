@@ -122,6 +122,7 @@ class Staged:
         self._aov = Aov(shaders, self.upload, features)
         self._ids: Any = None  # of the pixel centres, once AOVs asked for them
         self.stochastic = features.glossy or features.light_discs or features.occlusion
+        self._top: tuple[Any, list[float]] | None = None  # the tree and the origin that the constants know
         self._number, self._looks = 0, 0  # frames since the history began, looks since the last one
         if self.probe is not None:
             if self.mover is not None:
@@ -269,9 +270,14 @@ class Staged:
         if isinstance(self.passes.shadow, ShadowMap):
             self.passes.shadow.look(view, self.bounds if self.mover is not None else None)
         self.constants.look(view, len(self.upload.lights))
-        if self.features.two_level:
+        if self.features.two_level and not self._has_top(view):
             grid_min, grid_step = self.upload.top_grid(view.origin)
             self.constants.put(top_root=self.upload.top_root, top_grid_min=grid_min, top_grid_step=grid_step)
+
+    def _has_top(self, view: View) -> bool:
+        """Whether the constants tell the grid of the top-level tree as it is, in the world of this view."""
+        before, self._top = self._top, (self.upload.top, view.origin.tolist())
+        return before is not None and before[0] is self._top[0] and before[1] == self._top[1]
 
     def _capture_probes(self, probe: Probe, missing: list[int]) -> None:
         """These probes as things are now. What renders them is kept while more may be asked for."""
