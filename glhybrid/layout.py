@@ -376,7 +376,8 @@ CHANNELS: dict[str, Channel] = {
         Channel("reflection_rays", 4, "u4", "rgba32ui", "a layer a ray: direction, distance, radiance over albedo"),
         Channel("reflection_coat_rays", 4, "u4", "rgba32ui", "the same of the clearcoat"),
         Channel("mirror_hit", 4, "u4", "rgba32ui", "of split reflections: distance, barycentrics, row of triangles"),
-        Channel("mirror_ray", 4, "u4", "rgba32ui", "of split reflections: direction, row of instances"),
+        Channel("mirror_ray", 2, "u4", "rg32ui", "of split reflections: direction, octahedral"),
+        Channel("mirror_instance", 1, "u4", "r32ui", "of split reflections, in two levels: row of instances"),
         Channel("mirror_lit", 1, "u4", "r32ui", "of split reflections: a bit for each light that arrives"),
         *(
             Channel(f"{name}_{frame}", parts, kind, form, meaning)

@@ -38,6 +38,7 @@ class Features:
     specular_sky: bool = False  # the environment is seen in the specular lobe
     shadow_rays: bool = False  # hits and layers send their own
     shadow_bits: bool = False  # and their answers are yes or no, for at most 32 lights
+    one_light: bool = False  # the number of lights
     light_discs: bool = False  # a light has a size, and rays go to all of its disc
     visibility: bool = False  # a shadow pass runs
     shadow_maps: bool = False  # and looks up depth maps, as do hits and layers
@@ -195,6 +196,7 @@ def find(scene: Scene, settings: Settings) -> Needs:
         shadow_rays=lit and settings.shadows != "none",
         shadow_bits=lit and settings.shadows != "none" and not (shadow_maps or lightmap or light_discs or blended)
         and len(scene.lights) <= 32,
+        one_light=lit and len(scene.lights) == 1,
         light_discs=light_discs,
         visibility=visibility,
         shadow_maps=shadow_maps,

@@ -9,6 +9,7 @@ from glhybrid.context import Context
 from glhybrid.emitters import emitter_rows
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.needs import Features
+from glhybrid.passes.reflect import handed_on
 from glhybrid.settings import Settings
 from glhybrid.shaders import Shaders
 from glhybrid.targets import Targets
@@ -44,7 +45,7 @@ class Glossy:
         self._reuses = {name: lobe.reuse for name, lobe in lobes.items()}
         stems = ["glossy_ray", *["reflect_shadow"] * apart, "glossy_shade"] if split else ["glossy"]
         self._programs = {name: [shaders.compute(stem, lobe) for stem in stems] for name, lobe in lobes.items()}
-        self._handed_on = ["mirror_hit", "mirror_ray", *["mirror_lit"] * features.shadow_bits] if split else []
+        self._handed_on = handed_on(features) if split else ()
         self._scene, self._features = scene, features
         self._rays = settings.parameter("reflections.ray-glossy.samples")
         shadow_rays = len(scene.lights) if features.shadow_rays else 0

@@ -14,7 +14,11 @@ from glhybrid.needs import Features
 from glhybrid.shaders import Program, Shaders
 from glhybrid.targets import Targets
 
-HANDED_ON = ("mirror_hit", "mirror_ray", "mirror_lit")
+
+def handed_on(features: Features) -> tuple[str, ...]:
+    """Channels by which the programs of a split reflection tell each other what the mirror rays met."""
+    optional = {"mirror_instance": features.two_level, "mirror_lit": features.shadow_bits}
+    return ("mirror_hit", "mirror_ray", *(name for name, needed in optional.items() if needed))
 
 
 class Reflect:
@@ -24,7 +28,7 @@ class Reflect:
 
     def __init__(self, shaders: Shaders, scene: GpuScene, features: Features, split: bool = False) -> None:
         self._shaders, self._scene, self._features, self._split = shaders, scene, features, split
-        self._images = (HANDED_ON if features.shadow_bits else HANDED_ON[:2]) if split else ()
+        self._images = handed_on(features) if split else ()
 
     @cached_property
     def _programs(self) -> list[Program]:
@@ -40,7 +44,7 @@ class Reflect:
         return self._shaders.compute("reflect_shade", self._features)
 
     def run(self, targets: Targets, ids: Any, shade: bool = True) -> dict[str, Any]:
-        """Returns `reflection` of layout.py, by its channel; of a split one not shaded, what was met (HANDED_ON)."""
+        """Returns `reflection` of layout.py, by its channel; of a split one not shaded, what was met (handed_on)."""
         handed = {name: targets.get(name) for name in self._images}
         resources = {**self._scene.resources, **handed, "gbuffer_id": ids}
         if self._features.reason:

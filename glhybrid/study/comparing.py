@@ -106,4 +106,7 @@ def serve() -> None:
             answer: Any = compared(job[0], truth, *job[1:])
         except Exception as error:
             answer = error
-        _send(answers, answer)
+        try:
+            _send(answers, answer)
+        except BrokenPipeError:  # whoever asked was killed
+            os._exit(1)

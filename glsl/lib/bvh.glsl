@@ -23,16 +23,11 @@ const uint SEE_SURFACES = 0u;      // camera and reflection rays: single-sided b
 const uint SEE_BLOCKERS = 1u;      // shadow rays: everything, blended surfaces tint; stops at the first full blocker
 const uint SEE_BLENDED = 2u;       // only blended surfaces
 
-// How a box's near and far planes are told apart: by the direction's sign, shifting or multiplying their words, or by the
-// minimum and maximum of both. A GPU's units for products have room, those for shifts, minima and conversions do not: in
-// programs of one traversal an H100 gains 4 to 9 % by products over minima, 1 to 5 % by shifts. But products want six more
-// registers a ray: programs of several traversals, or with the world's ray beside the local one, were slower when they had them.
+// A box's near and far planes are told apart by the direction's sign: a CPU shifts their words, a GPU multiplies them, whose
+// units for products have room where those for shifts, minima and conversions have none. To the minimum and maximum of both
+// planes an H100 gains 4 to 9 % in bare rays, in frames 6 to 28 %, where the six registers more that it takes are there: hence
+// one origin for all shadow rays of a point, no loop over one light, and no second ray beside the local one.
 #define BY_SHIFTS USE_BRANCHLESS
-#if BY_SHIFTS || USE_TWO_LEVEL || defined(SEVERAL_TRAVERSALS)
-#define BY_PRODUCTS 0
-#else
-#define BY_PRODUCTS 1
-#endif
 
 // Whether a push waits for the next turn, which reads and writes the stack's top: of one place, so that both share their
 // addresses, three instructions a lane. 1 to 7 % of a ray; two levels, which keep more meanwhile, lose 3 %.
@@ -53,10 +48,10 @@ uint step_count = 0u;
 // A ray in the space of one tree, with what the box and triangle tests need of it.
 struct LocalRay {
     vec3 origin, dir;
-    vec3 inv_dir, near_offset, far_offset;   // t = plane * inv_dir - offset, in grid cells; by sign: in 2^-16 of them
+    vec3 inv_dir, near_offset, far_offset;   // t = plane * inv_dir - offset, in 2^-16 grid cells
 #if BY_SHIFTS
     uvec3 near_shift;                     // 16 where the low plane is the near one, else 0
-#elif BY_PRODUCTS
+#else
     uvec3 near_scale, far_scale;          // 65536 and 1 there, else 1 and 65536
 #endif
     vec3 shear;                           // x, y, z of the watertight test
@@ -78,17 +73,12 @@ LocalRay local_ray(vec3 origin, vec3 dir, vec3 grid_min, vec3 grid_step) {
     vec3 pad = (abs(o) + 65536.0) * 6e-7;
     bvec3 down = lessThan(r.inv_dir, vec3(0.0));
     vec3 low = (o + pad) * r.inv_dir, high = (o - pad) * r.inv_dir;
-#if BY_SHIFTS || BY_PRODUCTS
     r.near_offset = mix(low, high, down);
     r.far_offset = mix(high, low, down);
     r.inv_dir *= 1.0 / 65536.0;
-#else
-    r.near_offset = low;                                                         // of low planes and of high ones
-    r.far_offset = high;
-#endif
 #if BY_SHIFTS
     r.near_shift = 16u - 16u * uvec3(down);
-#elif BY_PRODUCTS
+#else
     r.near_scale = 65536u - 65535u * uvec3(down);
     r.far_scale = 1u + 65535u * uvec3(down);
 #endif
@@ -99,20 +89,28 @@ LocalRay local_ray(vec3 origin, vec3 dir, vec3 grid_min, vec3 grid_step) {
     return r;
 }
 
-// The ray in the space of an instance, and where its tree begins.
-LocalRay local_to(uint instance, Ray ray, out uint root) {
-    Instance inst = instance_row(instance);
-    mat3 m = mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]);
-    root = inst.root;
-    return local_ray(m * ray.origin + inst.object_from_world[3], m * ray.dir, inst.grid_min, inst.grid_step);
+#if USE_TWO_LEVEL
+// The ray in the space of an instance, whose tree is next; ID_NONE: in the world's.
+LocalRay local_to(uint instance, Ray ray, inout uint next) {
+    vec3 origin = ray.origin, dir = ray.dir, grid_min = frame.top_grid_min, grid_step = frame.top_grid_step;
+    if (instance != ID_NONE) {
+        Instance inst = instance_row(instance);
+        mat3 m = mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]);
+        origin = m * origin + inst.object_from_world[3];
+        dir = m * dir;
+        grid_min = inst.grid_min;
+        grid_step = inst.grid_step;
+        next = inst.root;
+    }
+    return local_ray(origin, dir, grid_min, grid_step);
 }
+#endif
 
 // Where a ray enters a child's box and where it leaves it, not before t_min and not after t_max: missed if x > y. As bits:
 // floats that are not negative have the order of their bits, a negative one only makes its slab start before t_min or end
 // before it, whichever it is, and t_min is not negative. An integer minimum knows no NaN to look out for: llvmpipe gains a
 // fifth.
 ivec2 box_span(uvec3 planes, LocalRay r, float t_min, float t_max) {
-#if BY_SHIFTS || BY_PRODUCTS
     // A plane in the upper half of its word; the high one keeps the low one as its fraction: less than a cell outward.
 #if BY_SHIFTS
     uvec3 near = planes << r.near_shift, far = planes << (16u - r.near_shift);
@@ -121,11 +119,6 @@ ivec2 box_span(uvec3 planes, LocalRay r, float t_min, float t_max) {
 #endif
     ivec3 enter = floatBitsToInt(vec3(near) * r.inv_dir - r.near_offset);
     ivec3 leave = floatBitsToInt(vec3(far) * r.inv_dir - r.far_offset);
-#else
-    ivec3 t0 = floatBitsToInt(vec3(planes & 0xFFFFu) * r.inv_dir - r.near_offset);
-    ivec3 t1 = floatBitsToInt(vec3(planes >> 16u) * r.inv_dir - r.far_offset);
-    ivec3 enter = min(t0, t1), leave = max(t0, t1);
-#endif
     return ivec2(max(max(enter.x, enter.y), max(enter.z, floatBitsToInt(t_min))),
                  min(min(leave.x, leave.y), min(leave.z, floatBitsToInt(t_max))));
 }
@@ -258,8 +251,10 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
     LocalRay local;
 #if USE_TWO_LEVEL
     uint instance = ID_NONE, cur = frame.top_root;
-    LocalRay world = local_ray(ray.origin, ray.dir, frame.top_grid_min, frame.top_grid_step);
-    local = world;
+    local = local_to(instance, ray, cur);
+#if USE_BRANCHLESS
+    LocalRay world = local;
+#endif
 #else
     const uint instance = 0u;                      // whose transform is a translation
     uint cur = instance_row(0).root;
@@ -314,16 +309,12 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
 #endif
             if ((cur & LEAF) == 0u || cur >= (TWO_LEVEL && BRANCHLESS ? REF_RETURN : REF_END)) continue;
 #if USE_TWO_LEVEL && !USE_BRANCHLESS
-            if (cur == REF_RETURN) {
-                instance = ID_NONE;
-                local = world;
-                cur = stack[sp--];
-                continue;
-            }
-            if (instance == ID_NONE) {
-                instance = (cur & ~LEAF) >> 4u;
+            // Into an instance, or back. The world's ray is made again then: kept, it takes the registers that the boxes want.
+            if (cur == REF_RETURN || instance == ID_NONE) {
+                instance = cur == REF_RETURN ? ID_NONE : (cur & ~LEAF) >> 4u;
+                if (instance == ID_NONE) cur = stack[sp--];
+                else stack[++sp] = REF_RETURN;
                 local = local_to(instance, ray, cur);
-                stack[++sp] = REF_RETURN;
                 continue;
             }
 #endif
@@ -344,7 +335,7 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
 #if USE_STEP_COUNTER
                 step_count++;
 #endif
-                if (BRANCHLESS) met = met && slot < slot_end;                    // the empty child of a tree that is one leaf
+                if (TESTS_LAST) met = met && slot < slot_end;                    // the empty child of a tree that is one leaf
                 // Of surfaces at one distance the lowest id wins, whatever the order of the tree: the raster's rule too.
                 if (closest) met = met && (t < hit.t || s0.w < hit.triangle);
                 if (closest && SINGLE_SIDED) met = met && (faces_ray || (s1.w & SLOT_SINGLE_SIDED) == 0u);

@@ -109,7 +109,9 @@ void stand_back(inout Point p, Hit hit, Ray ray) { p.back = -min(4.0 * p.offset,
 
 // Where a ray leaves: on the side of the surface that `dir` points to.
 vec3 ray_origin(Point p, vec3 dir) {
-    return p.position + (dot(dir, p.n_geo) >= 0.0 ? p.back + p.offset * p.n_geo : reflect(p.back, p.n_geo) - p.offset * p.n_geo);
+    // Through the surface: back is mirrored in its plane.
+    float along = dot(dir, p.n_geo) >= 0.0 ? p.offset : -p.offset - 2.0 * dot(p.back, p.n_geo);
+    return p.position + (p.back + along * p.n_geo);
 }
 
 // Barycentrics of a primary ray on the triangle that the raster says covers the pixel, clamped to it: the raster snaps

@@ -4,6 +4,16 @@
 
 layout(std430) readonly buffer Lights { Light lights[]; };
 
+// The lights of a dispatch are LIGHT_FIRST to before LIGHT_END, all of them are LIGHTS. Where there is one, the loop has one
+// turn and nothing has to live through the rays that it sends.
+#if USE_ONE_LIGHT
+const uint LIGHT_FIRST = 0u, LIGHT_END = 1u, LIGHTS = 1u;
+#else
+#define LIGHT_FIRST frame.light_first
+#define LIGHT_END frame.light_end
+#define LIGHTS frame.light_count
+#endif
+
 struct LightSample {
     vec3 irradiance;    // on a surface facing the light: lux at the point
     vec3 dir;           // unit, towards the light

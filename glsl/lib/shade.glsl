@@ -131,10 +131,11 @@ vec3 indirect_light(Surface s, vec3 v, vec3 mirror_dir, vec3 traced, bool has_tr
 uint lit_bits(Hit hit, Ray ray) {
     uint lit = 0u;
     Point p = point_at(hit, ray);
-    FOR_EACH(uint, i, 0u, frame.light_count) {
-        LightSample l = light_at(light_row(i), p.position);
-        if (arrives(l) && dot(p.n_geo, l.dir) > 0.0) lit |= visibility_of(p, l, i).x > 0.0 ? 1u << i : 0u;
-    } END_FOR(i, frame.light_count)
+    vec3 from = ray_origin(p, p.n_geo);                                    // the same for all lights in front
+    FOR_EACH(uint, i, 0u, LIGHTS) {
+        LightSample l = light_at(light_row(i), from);
+        if (arrives(l) && dot(p.n_geo, l.dir) > 0.0) lit |= any_hit(Ray(from, 0.0, l.dir, l.distance)).x > 0.0 ? 1u << i : 0u;
+    } END_FOR(i, LIGHTS)
     return lit;
 }
 #else

@@ -11,25 +11,26 @@ layout(r8) writeonly uniform image2DArray out_visibility;
 
 void send_shadow_rays(ivec2 px, Pixel p) {
     if (!covered(p)) {
-        for (uint i = frame.light_first; i < frame.light_end; i++) imageStore(out_visibility, ivec3(px, i), vec4(0.0));
+        for (uint i = LIGHT_FIRST; i < LIGHT_END; i++) imageStore(out_visibility, ivec3(px, i), vec4(0.0));
         return;
     }
 #if USE_TERMINATOR
     Surface s = load_surface(p);
-    Point from = shadow_point(p, s);
+    vec3 from = shadow_origin(p, s);
 #else
     // The facet decides, without a look at textures: where only the shading normal faces away, the BRDF is 0.
-    Point from = point_at(p.hit, p.ray);
+    Point point = point_at(p.hit, p.ray);
+    vec3 from = ray_origin(point, point.n_geo);
     bool unlit = material_row(hit_group_of(p.hit.instance, p.hit.geometry).material).unlit == 1u;
 #endif
-    FOR_SOME(uint, i, frame.light_first, frame.light_end) {                // else this pass does not run
-        LightSample l = light_at(light_row(i), from.position);
+    FOR_SOME(uint, i, LIGHT_FIRST, LIGHT_END) {                            // else this pass does not run
+        LightSample l = light_at(light_row(i), from);
         vec3 visibility = vec3(0.0);
 #if USE_TERMINATOR
-        if (arrives(l) && faces(s, l.dir)) visibility = any_hit(Ray(shadow_origin(from, l.dir), 0.0, l.dir, l.distance));
+        if (arrives(l) && faces(s, l.dir)) visibility = any_hit(Ray(from, 0.0, l.dir, l.distance));
 #else
-        if (arrives(l) && dot(from.n_geo, l.dir) > 0.0 && !unlit) visibility = any_hit(Ray(ray_origin(from, l.dir), 0.0, l.dir, l.distance));
+        if (arrives(l) && dot(point.n_geo, l.dir) > 0.0 && !unlit) visibility = any_hit(Ray(from, 0.0, l.dir, l.distance));
 #endif
         imageStore(out_visibility, ivec3(px, i), vec4(visibility, 1.0));
-    } END_FOR(i, frame.light_end)
+    } END_FOR(i, LIGHT_END)
 }

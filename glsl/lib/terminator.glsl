@@ -21,10 +21,9 @@ Point smooth_point(Pixel p, Surface s) {
     return q;
 }
 
-Point shadow_point(Pixel p, Surface s) {
-    if (TERMINATOR && !(SPHERES && hit_group_of(p.hit.instance, p.hit.geometry).kind == KIND_SPHERE)) return smooth_point(p, s);
-    return s.point;
+// The side that the viewer sees is the one that lights shine on, even where a mended point's light lies behind the facet.
+vec3 shadow_origin(Pixel p, Surface s) {
+    Point from = s.point;
+    if (TERMINATOR && !(SPHERES && hit_group_of(p.hit.instance, p.hit.geometry).kind == KIND_SPHERE)) from = smooth_point(p, s);
+    return ray_origin(from, from.n_geo);
 }
-
-// A mended point leaves on the viewer's side, even where the light lies behind the facet.
-vec3 shadow_origin(Point from, vec3 dir) { return ray_origin(from, TERMINATOR ? from.n_geo : dir); }

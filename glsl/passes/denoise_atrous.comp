@@ -25,7 +25,7 @@ const float KERNEL[3] = float[](0.375, 0.25, 0.0625);    // cubic B-spline
 const float LENGTH_SHARE = IS_VISIBILITY ? 1.0 : 2.0;
 const float LEAST_PIXELS = 2.0;
 const float LEAST_SHARE = 0.125;         // of what a lobe covers of a surface far behind
-const float LEVEL_DEVIATIONS = 4.0;
+const float LEVEL_DEVIATIONS = IS_VISIBILITY ? 2.0 : 4.0;
 const float DEVIATIONS = 6.0;            // of one pixel's own mean: only what no chance explains
 
 void main() {

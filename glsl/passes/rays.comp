@@ -1,7 +1,6 @@
 // passes/rays.comp -- what the camera sees, and what light reaches it: both rays of a pixel in one program. A third, the
 // mirror ray, does not go with them: an H100 then needs twice the time for all.
 // The point is found from the ids, by the code that other programs find it with: the same to the bit.
-#define SEVERAL_TRAVERSALS
 #include "lib/shadow_rays.glsl"
 #include "lib/tile.glsl"
 

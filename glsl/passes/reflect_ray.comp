@@ -1,7 +1,4 @@
 // passes/reflect_ray.comp -- `reflect` in parts, 1: the mirror ray of each pixel, and what it meets.
-#if USE_MIRROR_SHADOWS
-#define SEVERAL_TRAVERSALS
-#endif
 #include "lib/mirror.glsl"
 #include "lib/shade.glsl"
 #include "lib/tile.glsl"

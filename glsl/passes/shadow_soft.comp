@@ -11,7 +11,7 @@ uniform int rays, ray_first, ray_end;                   // a light; those of thi
 
 const uint SHADOW_SEQUENCE = 0x5AD0u;
 
-vec4 disc_rays_from(Point from, Surface s, LightSample l, uint light, ivec2 px, uint first, uint end) {
+vec4 disc_rays_from(vec3 from, Surface s, LightSample l, uint light, ivec2 px, uint first, uint end) {
     uvec2 start = sequence_start(px, SHADOW_SEQUENCE + light, frame.seed);
     float size = light_row(light).kind == LIGHT_DIRECTIONAL ? light_row(light).size : light_row(light).size / l.distance;
     vec3 sum = vec3(0.0);
@@ -24,7 +24,7 @@ vec4 disc_rays_from(Point from, Surface s, LightSample l, uint light, ivec2 px, 
         if (NoL <= 0.0) continue;
         weights += NoL;
         if (TERMINATOR || dot(s.point.n_geo, to.dir) > 0.0)
-            sum += NoL * any_hit(Ray(shadow_origin(from, to.dir), 0.0, to.dir, to.distance), distance);
+            sum += NoL * any_hit(Ray(from, 0.0, to.dir, to.distance), distance);
         if (distance < INFINITY) {
             width += distance * size;
             blocked += 1.0;
@@ -38,12 +38,12 @@ void main() {
     if (any(greaterThanEqual(px, frame.size_px))) return;                  // groups overhang the edge
     Pixel p = load_pixel(px);
     Surface s;
-    Point from;
+    vec3 from;
     if (covered(p)) {
         s = load_surface(p);
-        from = shadow_point(p, s);
+        from = shadow_origin(p, s);
     }
-    FOR_SOME(uint, i, frame.light_first, frame.light_end) {
+    FOR_SOME(uint, i, LIGHT_FIRST, LIGHT_END) {
         bool disc = light_row(i).size > 0.0;
         uint first = uint(ray_first), end = disc ? uint(ray_end) : 1u;
         if (first >= end) continue;
@@ -52,7 +52,7 @@ void main() {
             LightSample l = light_at(light_row(i), s.point.position);
             if (arrives(l) && faces(s, l.dir)) {
                 if (disc) result = disc_rays_from(from, s, l, i, px, first, end);
-                else result = vec4(any_hit(Ray(shadow_origin(from, l.dir), 0.0, l.dir, l.distance)), 0.0);
+                else result = vec4(any_hit(Ray(from, 0.0, l.dir, l.distance)), 0.0);
             }
         }
         if (first > 0u) {
@@ -62,5 +62,5 @@ void main() {
             else result.a = max(before.a, result.a);
         }
         imageStore(out_visibility, ivec3(px, i), result);
-    } END_FOR(i, frame.light_end)
+    } END_FOR(i, LIGHT_END)
 }

@@ -1,6 +1,5 @@
 // passes/tuning.comp -- the rays of a frame without its shading, to choose among variants of the tracer by: one from the
 // camera, one that leaves what it meets in a random direction, and one from there to the first light.
-#define SEVERAL_TRAVERSALS
 #include "lib/surface.glsl"
 #include "lib/light.glsl"
 #include "lib/random.glsl"

