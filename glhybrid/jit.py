@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 log = logging.getLogger("glhybrid")
+_refused: set[Path] = set()  # folders that take no more
 
 
 def cache_dir() -> Path:
@@ -73,15 +74,22 @@ def kernel(signature: Any, **options: Any) -> Callable[[Any], Any]:
         folder = Path(config.CACHE_DIR) if config.CACHE_DIR else cache_dir() / "numba"
         off = os.environ.get("GLHYBRID_CACHE") == "off" and not config.CACHE_DIR
         folder /= _borrowed(function)
-        cached = not off and _writable(folder)
+        cached = not off and folder not in _refused and _writable(folder)
         if not cached or next(folder.rglob("*.nbi"), None) is None:
             _announce(cached)
         before, config.CACHE_DIR = (
             config.CACHE_DIR,
             str(folder),
         )  # read while the kernel is declared; others keep theirs
+        declare = functools.partial(numba.njit, signature, nogil=True, error_model="numpy", **options)
         try:
-            return numba.njit(signature, nogil=True, cache=cached, error_model="numpy", **options)(function)
+            return declare(cache=cached)(function)
+        except OSError as error:  # a full disk
+            if not cached:
+                raise
+            _refused.add(folder)
+            log.warning("%s: compiled kernels cannot be kept: %s", folder, error.strerror or error)
+            return declare(cache=False)(function)
         finally:
             config.CACHE_DIR = before
 

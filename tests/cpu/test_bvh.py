@@ -447,6 +447,19 @@ def test_the_first_compilation_is_said_and_no_other(tmp_path: Path) -> None:
         assert done.stderr.count("compiling the kernels") == said, done.stderr
 
 
+def test_a_full_disk_keeps_nothing_and_stops_nothing(tmp_path: Path) -> None:
+    script = tmp_path / "kernel.py"
+    script.write_text(
+        "import resource, signal\nfrom numba import types\nfrom glhybrid.jit import kernel\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\nresource.setrlimit(resource.RLIMIT_FSIZE, (64, 64))\n"
+        "@kernel(types.int64(types.int64))\ndef f(x):\n    return x + 1\n\nassert f(1) == 2\n"
+        "@kernel(types.int64(types.int64))\ndef g(x):\n    return x + 2\n\nassert g(1) == 3\n"
+    )
+    kept = {"GLHYBRID_CACHE": str(tmp_path / "kept"), "PYTHONPATH": str(ROOT), "PATH": os.environ["PATH"]}
+    done = subprocess.run([sys.executable, script], env=kept, check=True, timeout=300, capture_output=True, text=True)
+    assert done.stderr.count("cannot be kept: File too large") == 1, done.stderr
+
+
 def test_cache_can_be_turned_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GLHYBRID_CACHE", "off")
     monkeypatch.setattr(cache, "write", lambda *_: pytest.fail("kept"))
