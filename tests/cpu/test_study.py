@@ -358,6 +358,9 @@ def test_results_are_json(tmp_path: Path) -> None:
     [
         (("--techniques", "cms"), 'unknown technique for a study "cms"; did you mean "csm"'),
         (("--size", "8x8"), "at least 16 pixels"),
+        (("--size", "64x48,8x8"), "at least 16 pixels"),
+        (("--reference-seconds", "0"), "more than 0 seconds"),
+        (("--reference-seconds", "nan"), "more than 0 seconds"),
         (("--camera", "nowhere"), "nowhere"),
         ((), "no-such-scene"),
     ],

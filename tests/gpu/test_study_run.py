@@ -278,6 +278,15 @@ def test_the_reference_knows_its_noise(renderer: gh.Renderer, tmp_path: Path) ->
     assert np.array_equal(anew.radiance, few.radiance), "a damaged file is made anew"
 
 
+def test_the_reference_ends_in_time(renderer: gh.Renderer, tmp_path: Path) -> None:
+    """After the seconds given, but for what is too little to tell anything; asked again it goes on."""
+    options = {"target": 0.0, "most": 1 << 20, "budget_s": 0.5, "folder": tmp_path}
+    first = reference.converge(renderer, stage(), CAMERA, SIZE, **options)  # type: ignore[arg-type]
+    assert not first.complete and reference.LEAST <= first.samples < 1 << 18
+    more = reference.converge(renderer, stage(), CAMERA, SIZE, **options)  # type: ignore[arg-type]
+    assert more.samples > first.samples and more.seconds > first.seconds
+
+
 def test_direct_light_is_what_is_drawn(renderer: gh.Renderer) -> None:
     """Visibility times unblocked light, summed over lights, is the renderer's own picture without a sky."""
     lamp = Light("point", position=(1.5, 2.0, 1.0), intensity=5.0)
