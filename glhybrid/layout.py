@@ -141,6 +141,7 @@ STRUCTS: dict[str, list[Row]] = {
         ("uvec2", "axes", "that the bits of Morton codes halve, the topmost first, two bits each"),
         ("uint", "key_bits", "of a Morton code"),
         ("uint", "entry_first", "row of refit_nodes of its root"),
+        ("uint", "node_count", "rows from node_first on that it takes"),
     ],
     "BuildItem": [  # a triangle of a tree that the GPU builds
         ("uint", "triangle", "row of triangles"),

@@ -6,19 +6,19 @@ import numpy as np
 
 from glhybrid import bvh, layout
 from glhybrid.bvh.blas import PAD
-from glhybrid.bvh.fragments import LEAF, make_grid
+from glhybrid.bvh.fragments import make_grid
 from glhybrid.bvh.merging import key_axes
 from glhybrid.context import Context
 from glhybrid.gpu_scene import GpuScene, MovedTree
 from glhybrid.motion import Shape
 from glhybrid.needs import Features
 from glhybrid.passes.rebuild import Rebuild
+from glhybrid.passes.refit_cost import Cost
 from glhybrid.passes.refit_ways import Climb, Levels
-from glhybrid.readback import Piece, Reading, Ring, at_once
-from glhybrid.scene import F64, U32
+from glhybrid.readback import Ring, at_once
 from glhybrid.shaders import Shaders
 
-CHECK_EVERY = 8  # refits between two looks at the trees' SAH costs, which read them back
+CHECK_EVERY = 8  # refits between two looks at the trees' SAH costs
 WAIT = 2  # refits until a look is at what was read, so that nobody waits for it
 
 
@@ -39,20 +39,21 @@ class Refit:
         self.meshes = meshes
         self._rebuild = rebuild
         blases = [scene.geometry.meshes[m].blas for m in meshes]
-        self._step = [b.grid_step for b in blases]
-        self._nodes = [len(b.nodes) for b in blases]  # rows that a tree takes
         self._built_cost: list[float | None] = [b.sah_cost for b in blases]  # None: not read back yet
         self._age = 0
         self._ring = Ring(context, 1)
         self.rebuilt = 0  # trees, since the scene was loaded
         self._trees = np.zeros(len(meshes), layout.dtype("RefitTree"))
         self._trees["node_first"] = [self._held.node_first(m) for m in meshes]
-        room = [self._held.node_capacity(m) for m in meshes]
+        self._trees["node_count"] = [len(b.nodes) for b in blases]
+        self._room = room = [self._held.node_capacity(m) for m in meshes]
         self._trees["entry_first"] = np.cumsum([0, *room[:-1]])
         self._tree_buffer = self._gl.buffer(reserve=self._trees.nbytes)
         resources: dict[str, Any] = {name: scene.resources[key].buffer for name, key in (
             ("Triangles", "triangles"), ("Vertices", "vertices"), ("Nodes", "nodes"), ("Slots", "slots"))}  # fmt: skip
         resources["RefitTrees"] = self._tree_buffer
+        self._make_cost = lambda: Cost(context, shaders, features, resources, room)
+        self._cost = self._make_cost() if rebuild not in (0, 1) else None
         way = Levels if context.device.software and not self._held.on_gpu else Climb
         self._way = way(context, shaders, features, resources, self._trees, sum(room))
         self._way.link(dict(enumerate(blases)))
@@ -64,11 +65,11 @@ class Refit:
     def run(self, shapes: list[Shape]) -> dict[int, MovedTree]:
         """New boxes for every mesh, in the order of `meshes`; returns what the instances must know of them."""
         moved = {}
-        for tree, (row, mesh, shape) in enumerate(zip(self._trees, self.meshes, shapes, strict=True)):
+        for row, mesh, shape in zip(self._trees, self.meshes, shapes, strict=True):
             largest = float(np.abs(shape.bounds).max())
             grid_min, grid_step = make_grid(shape.bounds[0], shape.bounds[1], PAD * largest)
             row["grid_min"], row["grid_step"], row["pad"] = grid_min, grid_step, 1.6 * PAD * largest
-            moved[mesh], self._step[tree] = MovedTree(grid_min, grid_step, shape.bounds), grid_step
+            moved[mesh] = MovedTree(grid_min, grid_step, shape.bounds)
         if self._builder is not None:
             self._trees["axes"] = key_axes(self._trees["grid_step"], self._builder.key_bits)
         self._tree_buffer.write(self._trees)
@@ -76,8 +77,8 @@ class Refit:
             return moved | self._build(range(len(self.meshes)))
         self.refit()
         self._age += 1
-        if self._rebuild and self._age % CHECK_EVERY == 1:
-            self._ring.send([self._reading(tree) for tree in range(len(self.meshes))])
+        if self._cost is not None and self._age % CHECK_EVERY == 1:
+            self._ring.send(self._cost.readings())
         elif len(self._ring) and self._age % CHECK_EVERY == 1 + WAIT:
             costs = self._ring.take()
             self._built_cost = [c if b is None else b for b, c in zip(self._built_cost, costs, strict=True)]
@@ -88,30 +89,27 @@ class Refit:
 
     def sah_cost(self, mesh: int) -> float:
         """Of the tree as it stands on the GPU, in the terms of Blas.sah_cost. Waits for it."""
-        return at_once(self._reading(self.meshes.index(mesh)))
-
-    def _reading(self, tree: int) -> Reading[float]:
-        first, count = self._held.node_first(self.meshes[tree]), self._nodes[tree]
-        step = self._step[tree].astype(np.float64)
-        data = yield Piece(self._scene.resources["nodes"].buffer, first * 32, count * 32)
-        return sah_cost(np.frombuffer(data, np.uint32).reshape(-1, 8), step)
+        self._cost = self._cost or self._make_cost()
+        self._tree_buffer.write(self._trees)  # they may have been built since
+        return at_once(self._cost.readings()[self.meshes.index(mesh)])
 
     @property
     def bytes(self) -> int:
         own = self._tree_buffer.size + self._way.bytes + self._ring.bytes
-        return int(own + (self._builder.bytes if self._builder is not None else 0))
+        return int(own + sum(part.bytes for part in (self._builder, self._cost) if part is not None))
 
     def release(self) -> None:
         self._ring.release()
         self._tree_buffer.release()
         self._way.release()
-        if self._builder is not None:
-            self._builder.release()
+        for part in (self._builder, self._cost):
+            if part is not None:
+                part.release()
 
     @property
     def nodes(self) -> int:
         """Rows of all trees; of those that the GPU built, some are not in use."""
-        return sum(self._nodes)
+        return int(self._trees["node_count"].sum())
 
     @property
     def dispatches(self) -> int:
@@ -141,7 +139,7 @@ class Refit:
             return {self.meshes[tree]: self._build_on_cpu(tree) for tree in trees}
         self.build()
         self.rebuilt += len(self.meshes)
-        self._nodes = [self._held.node_capacity(mesh) for mesh in self.meshes]
+        self._trees["node_count"] = self._room
         self._built_cost = [None] * len(self.meshes)
         return {}
 
@@ -155,24 +153,8 @@ class Refit:
         buffer = self._scene.resources["vertices"].buffer
         vertices = np.frombuffer(buffer.read((last - first + 1) * 32, offset=first * 32), np.float32).reshape(-1, 8)
         blas = bvh.build_blas(vertices[rows[:, :3] - first, :3], geometry=rows[:, 3].copy())
-        self._step[tree], self._nodes[tree], self._built_cost[tree] = blas.grid_step, len(blas.nodes), blas.sah_cost
+        row = self._trees[tree]
+        row["grid_step"], row["node_count"], self._built_cost[tree] = blas.grid_step, len(blas.nodes), blas.sah_cost
         self._held.replace(mesh, blas)
         self._way.link({tree: blas})
         return MovedTree(blas.grid_min, blas.grid_step, blas.bounds)
-
-
-def sah_cost(nodes: U32, grid_step: F64) -> float:
-    """Of one tree's nodes (N, 8): node and triangle at 1, relative to the root's area."""
-    children = nodes.reshape(-1, 2, 4)
-    words, refs = children[..., :3], children[..., 3]
-    low, high = (words & 0xFFFF).astype(np.int64), (words >> 16).astype(np.int64)
-    inner = refs < LEAF
-    used = inner | (refs & 15 > 0)
-    weight = np.where(inner, 1, refs & 15) * used
-    root = _half_area(high[0].max(0) - low[0].min(0), grid_step)
-    return float((root + (_half_area(high - low, grid_step) * weight).sum()) / root)
-
-
-def _half_area(side: Any, step: F64) -> Any:
-    x, y, z = np.moveaxis(np.asarray(side) * step, -1, 0)
-    return x * y + y * z + z * x

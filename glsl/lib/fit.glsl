@@ -1,5 +1,4 @@
 // lib/fit.glsl -- boxes of moved triangles, in cells of their tree's grid: words low | high << 16 for x, y and z.
-// Wants triangle_rows and vertex_rows.
 //
 // Rounding: glhybrid/bvh/blas.py asks for boxes with 5e-7 of the largest coordinate and a twentieth of a cell to spare;
 // `pad` and the tenth of a cell here hold that and what float32 loses on the way.
@@ -14,8 +13,11 @@ uvec3 box_words(vec3 low, vec3 high, RefitTree tree) {
     return uvec3(clamp(a, 0.0, 65535.0)) | uvec3(clamp(b, 0.0, 65535.0)) << 16u;
 }
 
-uvec3 triangle_box(uint triangle, RefitTree tree) {
-    uvec3 corner = triangle_rows[triangle].xyz;
-    vec3 a = vertex_rows[2u * corner.x].xyz, b = vertex_rows[2u * corner.y].xyz, c = vertex_rows[2u * corner.z].xyz;
-    return box_words(min(min(a, b), c), max(max(a, b), c), tree);
+// In units of the square of what scale says a cell is.
+float half_area(uvec3 box, vec3 scale) {
+    vec3 side = vec3((box >> 16u) - (box & 0xFFFFu)) * scale;
+    return side.x * side.y + side.y * side.z + side.z * side.x;
 }
+
+// Of a tree's cell, its longest side at 1: areas of small and huge meshes neither vanish nor overflow.
+vec3 cell_shape(RefitTree tree) { return tree.grid_step / max(tree.grid_step.x, max(tree.grid_step.y, tree.grid_step.z)); }

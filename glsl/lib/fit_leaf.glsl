@@ -1,4 +1,4 @@
-// lib/fit_leaf.glsl -- the box of a leaf over moved vertices. Wants slot_rows, and what lib/fit.glsl does.
+// lib/fit_leaf.glsl -- the box of a leaf over moved vertices. Wants triangle_rows, vertex_rows and slot_rows.
 #include "lib/fit.glsl"
 
 // Its triangles' vertices go along into the slots.

@@ -20,7 +20,9 @@ void main() {
     if (i >= uint(item_total)) return;
     BuildItem item = build_items[i];
     RefitTree tree = refit_trees[item.tree];
-    uvec3 words = triangle_box(item.triangle, tree);
+    uvec3 corner = triangle_rows[item.triangle].xyz;
+    vec3 a = vertex_rows[2u * corner.x].xyz, b = vertex_rows[2u * corner.y].xyz, c = vertex_rows[2u * corner.z].xyz;
+    uvec3 words = box_words(min(min(a, b), c), max(max(a, b), c), tree);
     uvec3 left = ((words & 0xFFFFu) + (words >> 16u)) << 15u;          // the centre; its next bit is the topmost
     uint key = item.tree;
     for (uint k = 0u; k < tree.key_bits; k++) {

@@ -43,11 +43,6 @@ void put(uint i, uvec3 box, uint ref, uint nodes_down) {
     height[i] = nodes_down;
 }
 
-float half_area(uvec3 box, vec3 scale) {
-    vec3 side = vec3((box >> 16u) - (box & 0xFFFFu)) * scale;
-    return side.x * side.y + side.y * side.z + side.z * side.x;
-}
-
 // Bits set before that of thread i, in the half of `bits` that starts at a word.
 uint rank(uint word, uint i) {
     int sum = bitCount(bits[word + (i >> 5u)] & ((1u << (i & 31u)) - 1u));
@@ -104,13 +99,14 @@ void main() {
     uint i = gl_LocalInvocationID.x;
     BuildChunk chunk = build_chunks[uint(chunk_first) + gl_WorkGroupID.x];
     RefitTree tree = refit_trees[chunk.tree];
-    vec3 scale = tree.grid_step / max(tree.grid_step.x, max(tree.grid_step.y, tree.grid_step.z));
+    vec3 scale = cell_shape(tree);
     bool leaves = chunk.leaves == 1u;
     uvec4 own = uvec4(ID_NONE);
     if (i < chunk.count) {
         if (leaves) {
-            own.xyz = triangle_box(build_items[pairs_in[chunk.first + i].y].triangle, tree);
-            own.w = LEAF | i << 4u | 1u;
+            uvec3 corner = triangle_rows[build_items[pairs_in[chunk.first + i].y].triangle].xyz;
+            vec3 a = vertex_rows[2u * corner.x].xyz, b = vertex_rows[2u * corner.y].xyz, c = vertex_rows[2u * corner.z].xyz;
+            own = uvec4(box_words(min(min(a, b), c), max(max(a, b), c), tree), LEAF | i << 4u | 1u);
         } else {
             own = clusters[chunk.first + i];
         }
