@@ -77,7 +77,7 @@ class Refit:
             return moved | self._build(range(len(self.meshes)))
         self.refit()
         self._age += 1
-        if self._cost is not None and self._age % CHECK_EVERY == 1:
+        if self._rebuild and self._cost is not None and self._age % CHECK_EVERY == 1:
             self._ring.send(self._cost.readings())
         elif len(self._ring) and self._age % CHECK_EVERY == 1 + WAIT:
             costs = self._ring.take()
