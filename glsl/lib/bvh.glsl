@@ -3,8 +3,8 @@
 // Node: two children in two texels, 16-bit box planes on a grid and a ref each. Bounded inner loop ("at most
 // BVH_INNER_STEPS inner nodes, then at most one leaf") keeps the lanes of a GPU together; on a CPU there is none.
 // USE_BRANCHLESS is that CPU's form of it. llvmpipe stores to the stack lane by lane, each behind a branch of its own, taken
-// if the lane is at work: those of "if (both)" were guessed wrong every other time. So every node stores, whether it counts or
-// not, and the top is read before the boxes are, off the chain from node to node. A seventh faster, and the
+// if the lane is at work: those of "if (both)" were guessed wrong every other time. So every node stores, above the top where
+// it does not count, and the top is read before the boxes are, off the chain from node to node. A seventh faster, and the
 // near and far planes by the direction's sign another twentieth, loops with their conditions at the end another tenth.
 // Triangle test: Woop, Benthin, Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1) 2013. `precise` is what makes
 // it watertight: an fma contracted on one side of a shared edge only opens a crack.
@@ -29,18 +29,10 @@ const uint SEE_BLENDED = 2u;       // only blended surfaces
 // one origin for all shadow rays of a point, no loop over one light, and no second ray beside the local one.
 #define BY_SHIFTS USE_BRANCHLESS
 
-// Whether a push waits for the next turn, which reads and writes the stack's top: of one place, so that both share their
-// addresses, three instructions a lane. 1 to 7 % of a ray; two levels, which keep more meanwhile, lose 3 %.
-#define PUSHES_WAIT (USE_BRANCHLESS && !USE_TWO_LEVEL)
-
 const bool ASKS = ALPHA_TEST || BLENDED || SINGLE_SIDED;    // a hit may have to ask an any-hit function
 
 // One stack for every traversal in the shader: each copy would cost its bytes in local memory, used or not.
 uint stack[BVH_STACK];
-#if PUSHES_WAIT
-uint waiting;                          // pushed
-bool waits;                            // and not in the stack yet
-#endif
 #if USE_STEP_COUNTER
 uint step_count = 0u;
 #endif
@@ -207,33 +199,15 @@ vec3 transmittance_at(HitGroup group, Hit hit, Ray ray, bool front, uint see) {
 }
 
 #if USE_BRANCHLESS
-uint top_of_stack(int sp) {
-#if PUSHES_WAIT
-    uint top = waits ? waiting : stack[sp];
-    waits = false;
-    return top;
-#else
-    return stack[sp];
-#endif
-}
-
 // A node's turn as in `traverse`, of a lane that is at an inner node. Which are is asked once, before the loop, instead of in
 // every turn of it: reflections take 3 to 5 % less.
 void turn(inout uint cur, inout int sp, LocalRay local, float t_min, float t_max, const bool closest) {
     uvec4 a = texelFetch(nodes, int(cur) * 2), b = texelFetch(nodes, int(cur) * 2 + 1);
-    uint top = top_of_stack(sp);
-#if PUSHES_WAIT
-    stack[sp] = top;
-#endif
+    uint top = stack[sp];
     ivec2 in_a = box_span(a.xyz, local, t_min, t_max), in_b = box_span(b.xyz, local, t_min, t_max);
     bool meets_a = in_a.x <= in_a.y, meets_b = in_b.x <= in_b.y;
     bool b_next = meets_b && (!meets_a || (closest ? in_b.x < in_a.x : in_b.x > in_a.x));
-#if PUSHES_WAIT
-    waiting = b_next ? a.w : b.w;
-    waits = meets_a && meets_b;
-#else
     stack[sp + 1] = b_next ? a.w : b.w;                                          // counts if both are met
-#endif
     sp += int(meets_a) + int(meets_b) - 1;
     cur = meets_a || meets_b ? (b_next ? b.w : a.w) : top;
 #if USE_STEP_COUNTER
@@ -265,9 +239,6 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
     bool front, pending = false;
     int sp = 0;
     stack[0] = REF_END;
-#if PUSHES_WAIT
-    waits = false;
-#endif
     for (;;) {
         WHILE (cur != REF_END) {
 #if USE_TWO_LEVEL && USE_BRANCHLESS
@@ -351,9 +322,6 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
                     if (!closest) {
                         tint = vec3(0.0);
                         if (!BRANCHLESS) return;
-#if PUSHES_WAIT
-                        waits = false;
-#endif
                         sp = 0;                                                  // leaving from the midst costs a CPU masks
                         slot_end = slot + 3u;
                     }
@@ -361,11 +329,7 @@ void traverse(Ray ray, const uint see, inout Hit hit, inout vec3 tint) {
                 slot += 3u;
             }
             END_WHILE (slot < slot_end && !pending)
-#if PUSHES_WAIT
-            if (!ASKS || slot >= slot_end) cur = top_of_stack(sp--);
-#else
             if (!ASKS || slot >= slot_end) cur = stack[sp--];
-#endif
             if (pending) break;
 #if USE_TWO_LEVEL && USE_BRANCHLESS
             } while (cur < REF_RETURN);
