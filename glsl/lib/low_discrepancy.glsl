@@ -48,7 +48,7 @@ uvec2 sequence_start(ivec2 px, uint use, uint seed) {
 // For one use at a pixel: two of these would go side by side.
 uvec2 lattice_start(ivec2 px, uint use, uint seed) {
     uint key = pcg(use ^ pcg(seed));
-    return uvec2(key, pcg(key)) + uint(px.x) * uvec2(3265572727u, 3424507563u) + uint(px.y) * uvec2(681722979u, 1464820930u);
+    return uvec2(key, pcg(key)) + uint(px.x) * uvec2(3570735308u, 3205278688u) + uint(px.y) * uvec2(3521082050u, 1901605360u);
 }
 
 // Point i from there.

@@ -62,39 +62,41 @@ Reused reuse_rays(ivec2 px, Guide g, vec3 v, float extent, float nearest, float 
     float inverse_depth = frame.orthographic == 1u ? 0.0 : 1.0 / g.depth, far = REUSE_FAR * nearest;
     vec3 sum = vec3(0.0), own_sum = vec3(0.0);
     float weight = 0.0, weights2 = 0.0;
-    for (int y = -steps.y; y <= steps.y; y++)
-        for (int x = -steps.x; x <= steps.x; x++) {
-            vec2 o = x == 0 && y == 0 ? vec2(0.0) : round(spacing * (vec2(x, y) + shift));
-            vec2 at = o * screen / size;
-            ivec2 q = px + ivec2(o);
-            if (dot(at, at) > square(REUSE_CUT) || !inside(q)) continue;
-            uvec4 bits = texelFetch(guide, q, 0), ray = texelFetch(rays, ivec3(q, 0), 0);
-            int count = ray_count(ray);
-            if (!is_surface(bits) || count == 0) continue;
-            Guide there = unpack_guide(bits, vec2(q));
-            float near = exp(-0.5 * dot(at, at) - unlike(g, there));
-            if (near < 0.01) continue;
-            vec3 d = there.position - g.position;
-            for (int i = 0; i < count; i++) {
-                if (i > 0) ray = texelFetch(rays, ivec3(q, i), 0);
-                float distance = max(min(uintBitsToFloat(ray.y), far), 1e-6 * nearest);
-                vec3 dir = normalize(d + oct_decode(unpackUnorm2x16(ray.x)) * distance);
-                vec2 slope = vec2(dot(dir, axes.across), dot(dir, axes.up) + v_up) / max(dot(dir, g.n) + v_n, 1e-3);
-                // The same point, seen from a deviation away: so much the slope of the half vector changes.
-                float turned = turn * (1.0 / distance + inverse_depth), s2 = dot(slope, slope);
-                // Of GGX, 1 / (a^2 + |slope - turned|^2)^2, the mean over all sides, closed.
-                float about = a2 + s2 + square(turned);
-                float inverse = inversesqrt(max(square(about) - 4.0 * s2 * square(turned), square(a2)));
-                float ring = (there_is * about + 2.0 * turned * dot(side, slope)) * inverse * square(inverse * (a2 + s2));
-                float w = near * (1.0 + there_is) / (1.0 + ring);
-                vec3 seen = vec3(unpackHalf2x16(ray.z), unpackHalf2x16(ray.w).x);
-                sum += w * seen;
+    // One loop over rows: lanes of a group differ in how many and how long these are, hardly in how many taps.
+    ivec2 tap = -steps;
+    for (int left = (2 * steps.x + 1) * (2 * steps.y + 1); left > 0; left--) {
+        vec2 o = tap == ivec2(0) ? vec2(0.0) : round(spacing * (vec2(tap) + shift));
+        tap = tap.x < steps.x ? tap + ivec2(1, 0) : ivec2(-steps.x, tap.y + 1);
+        vec2 at = o * screen / size;
+        ivec2 q = px + ivec2(o);
+        if (dot(at, at) > square(REUSE_CUT) || !inside(q)) continue;
+        uvec4 bits = texelFetch(guide, q, 0), ray = texelFetch(rays, ivec3(q, 0), 0);
+        int count = ray_count(ray);
+        if (!is_surface(bits) || count == 0) continue;
+        Guide there = unpack_guide(bits, vec2(q));
+        float near = exp(-0.5 * dot(at, at) - unlike(g, there));
+        if (near < 0.01) continue;
+        vec3 d = there.position - g.position;
+        for (int i = 0; i < count; i++) {
+            if (i > 0) ray = texelFetch(rays, ivec3(q, i), 0);
+            float distance = max(min(uintBitsToFloat(ray.y), far), 1e-6 * nearest);
+            vec3 dir = normalize(d + oct_decode(unpackUnorm2x16(ray.x)) * distance);
+            vec2 slope = vec2(dot(dir, axes.across), dot(dir, axes.up) + v_up) / max(dot(dir, g.n) + v_n, 1e-3);
+            // The same point, seen from a deviation away: so much the slope of the half vector changes.
+            float turned = turn * (1.0 / distance + inverse_depth), s2 = dot(slope, slope);
+            // Of GGX, 1 / (a^2 + |slope - turned|^2)^2, the mean over all sides, closed.
+            float about = a2 + s2 + square(turned);
+            float inverse = inversesqrt(max(square(about) - 4.0 * s2 * square(turned), square(a2)));
+            float ring = (there_is * about + 2.0 * turned * dot(side, slope)) * inverse * square(inverse * (a2 + s2));
+            float w = near * (1.0 + there_is) / (1.0 + ring);
+            vec3 seen = vec3(unpackHalf2x16(ray.z), unpackHalf2x16(ray.w).x);
+            sum += w * seen;
 #if USE_SKY_SAMPLES || USE_EMITTERS
-                if (q == px) own_sum += seen / float(count);
+            if (q == px) own_sum += seen / float(count);
 #endif
-                weight += w;
-                weights2 += w * w;
-            }
+            weight += w;
+            weights2 += w * w;
         }
+    }
     return Reused(sum / weight, own_sum, square(weight) / weights2);
 }

@@ -107,7 +107,7 @@ float mirror_share(float roughness, float NoV) {
 // level: luminance about the point; variance: of one sample there; frames: how many may count.
 struct Past { vec4 mean; float level, variance, samples, drift; };
 
-const float DRIFT = 0.5;
+const float DRIFT = 1.0;
 
 Past look_back(ivec2 px, Guide g, Near near) {
     Past past = Past(vec4(0.0), 0.0, 0.0, 0.0, 0.0);
