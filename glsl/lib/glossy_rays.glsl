@@ -57,7 +57,8 @@ Drawn draw_ray(Shine a, ivec2 px, int i) {
     d.sent = true;
     d.bent = false;
     if (!is_mirror(a.lobe)) {
-        uvec2 start = lattice_start(px, GLOSSY_SEQUENCE + uint(GLOSSY_COAT), frame.seed);
+        uint use = GLOSSY_SEQUENCE + uint(GLOSSY_COAT);
+        uvec2 start = bool(USE_REUSE) ? lattice_start(px, use, frame.seed) : sequence_start(px, use, frame.seed);
         d.h = ggx_sample_vndf(a.lobe.n, a.v, a.lobe.alpha, sequence_point(start, frame.number * uint(a.count) + uint(i)));
     }
     d.dir = reflect(-a.v, d.h);

@@ -15,17 +15,18 @@ layout(rgba32f) writeonly uniform image2D out_filtered;
 #endif
 
 #if USE_REUSE
-const int REACH = 1;                     // most of it is done
+const int REACH = 1;                     // most of it is done, and what is left is less than it seems
+const float LEVEL_DEVIATIONS = 4.0;
 const float KERNEL[2] = float[](0.5, 0.25);
 #else
 const int REACH = 2;
+const float LEVEL_DEVIATIONS = 2.0;
 const float KERNEL[3] = float[](0.375, 0.25, 0.0625);    // cubic B-spline
 #endif
 
 const float LENGTH_SHARE = IS_VISIBILITY ? 1.0 : 2.0;
 const float LEAST_PIXELS = 2.0;
 const float LEAST_SHARE = 0.125;         // of what a lobe covers of a surface far behind
-const float LEVEL_DEVIATIONS = IS_VISIBILITY ? 2.0 : 4.0;
 const float DEVIATIONS = 6.0;            // of one pixel's own mean: only what no chance explains
 
 void main() {

@@ -193,7 +193,7 @@ def test_a_sized_lamp_lights_what_is_reflected_softly(renderer: "Renderer") -> N
     (of a lamp's middle in the hybrid)."""
     world = lit(0.2)
     world = world.replace(lights=(replace(world.lights[0], angular_diameter=0.2), replace(world.lights[1], radius=0.3)))
-    got = batches(renderer, world, 64, size=SIZE, samples=4, shadows="ray-soft", parameters=RAW)
+    got = batches(renderer, world, 16, size=SIZE, samples=4, shadows="ray-soft", parameters=RAW)
     settings = Settings(reflections="reference", samples=16, bounces=1, aa=1, seed=3)
     want = reference_batches(renderer, world, SIZE, settings, batches=32)
     direct = draw(renderer, world, 1, "instance_id", size=SIZE, reflections="none")
