@@ -21,7 +21,7 @@ from glhybrid.motion import Motion
 from glhybrid.passes import rebuild as building
 from glhybrid.passes.refit_ways import parents_of
 from glhybrid.renderer import Renderer
-from glhybrid.scene import Animation, Instance, Material, Mesh, MorphTarget, Node, Scene, Sphere
+from glhybrid.scene import Animation, Camera, Instance, Light, Material, Mesh, MorphTarget, Node, Scene, Sphere
 from glhybrid.settings import Settings
 
 if TYPE_CHECKING:
@@ -232,6 +232,26 @@ def test_pictures_are_the_same_whoever_builds(context: "Context", models: Path) 
     for one, two in zip(*seen, strict=True):
         for name in ("radiance", "depth", "triangle_id"):
             assert np.array_equal(one[name], two[name], equal_nan=True)
+
+
+def test_materials_stay_with_their_triangles(context: "Context") -> None:
+    """Of one mesh: tinted, single-sided and plain pieces, whose slots say which must be asked at a hit."""
+    soup, target = shapes()["soup"], MorphTarget(np.full((900, 3), 0.2, np.float32))
+    pieces = tuple(replace(ray.soup(soup[k::10], k), morph_targets=(target,)) for k in range(3))
+    materials = (
+        Material("tint", (0.9, 0.2, 0.2, 0.5), alpha_mode="BLEND"), Material("one side", (0.2, 0.9, 0.2, 1.0)),
+        Material("plain", double_sided=True, metallic=1.0, roughness=0.1),
+    )  # fmt: skip
+    scene = morphing(soup[:1]).replace(
+        meshes=(Mesh("body", pieces, (0.0,)),), materials=materials, cameras=(Camera.look_at((2, 1.5, 2), (0.5, 0.5, 0.5)),),
+        lights=(Light("directional", intensity=3.0, direction=(-0.48, -0.8, -0.36)),),
+    )  # fmt: skip
+    with Renderer(context=context) as renderer:
+        seen = [
+            renderer.render(scene, size=(64, 48), settings=Settings(aa=1, rebuild=1, builder=builder, time=0.6))
+            for builder in ("cpu", "gpu")
+        ]
+    assert seen[0]["radiance"].std() > 0.01 and np.array_equal(seen[0]["radiance"], seen[1]["radiance"])
 
 
 def test_what_is_never_built_anew_costs_nothing(context: "Context") -> None:
