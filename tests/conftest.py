@@ -1,11 +1,14 @@
 """One OpenGL context for the whole run, no GL error before or after a test, and a reason for every skip.
 
 GLHYBRID_TEST_DEVICE chooses the device (default auto); with GLHYBRID_REQUIRE_GL=1, as `make test` sets it, a machine
-without OpenGL fails instead of skipping.
+without OpenGL fails instead of skipping. GLHYBRID_TEST_FORMS=gpu runs what a GPU would on a software device (programs in
+parts, its forms of loops, trees built in compute): tests of pictures then find most of what is wrong there. Tests of
+speed and of what software lacks do not hold so.
 """
 
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -43,6 +46,8 @@ def _shared_context() -> "Iterator[Context]":
         if os.environ.get("GLHYBRID_REQUIRE_GL") == "1":
             raise
         pytest.skip(f"no OpenGL 4.3: {error}")
+    if os.environ.get("GLHYBRID_TEST_FORMS") == "gpu":
+        opened.device = replace(opened.device, software=False)
     with opened:
         yield opened
 

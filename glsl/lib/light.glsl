@@ -48,4 +48,8 @@ LightSample toward_disc(LightSample s, Light light, vec2 xi, out float cos_axis)
 }
 #endif
 
+// To a light as seen from where its shadow ray leaves, which may be nearer than the surface's point by a rounding or two: what
+// touches the lamp is in the way, from everywhere.
+Ray shadow_ray(vec3 from, LightSample s) { return Ray(from, 0.0, s.dir, s.distance * 1.000001); }
+
 bool arrives(LightSample s) { return max3(s.irradiance) > 0.0; }

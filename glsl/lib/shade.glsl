@@ -134,7 +134,7 @@ uint lit_bits(Hit hit, Ray ray) {
     vec3 from = ray_origin(p, p.n_geo);                                    // the same for all lights in front
     FOR_EACH(uint, i, 0u, LIGHTS) {
         LightSample l = light_at(light_row(i), from);
-        if (arrives(l) && dot(p.n_geo, l.dir) > 0.0) lit |= any_hit(Ray(from, 0.0, l.dir, l.distance)).x > 0.0 ? 1u << i : 0u;
+        if (arrives(l) && dot(p.n_geo, l.dir) > 0.0) lit |= any_hit(shadow_ray(from, l)).x > 0.0 ? 1u << i : 0u;
     } END_FOR(i, LIGHTS)
     return lit;
 }

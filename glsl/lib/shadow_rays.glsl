@@ -27,9 +27,9 @@ void send_shadow_rays(ivec2 px, Pixel p) {
         LightSample l = light_at(light_row(i), from);
         vec3 visibility = vec3(0.0);
 #if USE_TERMINATOR
-        if (arrives(l) && faces(s, l.dir)) visibility = any_hit(Ray(from, 0.0, l.dir, l.distance));
+        if (arrives(l) && faces(s, l.dir)) visibility = any_hit(shadow_ray(from, l));
 #else
-        if (arrives(l) && dot(point.n_geo, l.dir) > 0.0 && !unlit) visibility = any_hit(Ray(from, 0.0, l.dir, l.distance));
+        if (arrives(l) && dot(point.n_geo, l.dir) > 0.0 && !unlit) visibility = any_hit(shadow_ray(from, l));
 #endif
         imageStore(out_visibility, ivec3(px, i), vec4(visibility, 1.0));
     } END_FOR(i, LIGHT_END)

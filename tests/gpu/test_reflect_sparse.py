@@ -84,6 +84,13 @@ def of_the_grid(resolution: str, size: tuple[int, int]) -> np.ndarray:
     return ((x | y) & 1) == 0 if resolution == "half" else ((x + y) & 1) == 0
 
 
+def same(renderer: gh.Renderer, got: Any, want: Any) -> bool:
+    """To the last bit; where the ray for each pixel goes in parts, as on GPUs, but for the rounding of what they hand on."""
+    if renderer.context.device.software:
+        return np.array_equal(got, want)
+    return bool((~np.isclose(got, want, 1e-4, 1e-4)).mean() <= 1e-3)
+
+
 @pytest.mark.parametrize("grid", GRIDS)
 @pytest.mark.parametrize(
     ("look", "kind", "primary"),
@@ -95,12 +102,12 @@ def of_the_grid(resolution: str, size: tuple[int, int]) -> np.ndarray:
 def test_without_tolerance_it_is_a_ray_for_each(
     renderer: gh.Renderer, grid: str, look: str, kind: dict[str, bool], primary: str
 ) -> None:
-    """contrast = 0 shares nothing: every ray is traced, by the grid or from the list, to the last bit the same."""
+    """contrast = 0 shares nothing: every ray is traced, by the grid or from the list, and the same."""
     made = scene(**kind)
     want = render(renderer, made, look=look, primary=primary)
     got = render(renderer, made, grid, 0.0, look=look, primary=primary)
     for name in NAMES:
-        assert np.array_equal(got[name], want[name]), name
+        assert same(renderer, got[name], want[name]), name
 
 
 @pytest.mark.parametrize(("grid", "most_rays", "most_error"), [("half", 0.5, 0.001), ("checkerboard", 0.7, 0.001)])
@@ -118,7 +125,8 @@ def test_fewer_rays_and_what_they_cost(renderer: gh.Renderer, grid: str, most_ra
     share = error.sum() / want["reflection"].sum()
     print(f"{grid}: {sent} rays for {mirrors} pixels, error {share:.5f}, {(error.max(-1) > 1e-3).mean():.4f} of pixels")
     exact = of_the_grid(grid, size)
-    assert np.array_equal(got["reflection"][exact], want["reflection"][exact]), "a pixel with a ray of its own differs"
+    own, each = got["reflection"][exact], want["reflection"][exact]
+    assert same(renderer, own, each), "a pixel with a ray of its own differs"
     assert sent < most_rays * size[0] * size[1] and share < most_error
     assert error.any(), "nothing was shared: this test would not see a fault"
     assert (got["reason"] == want["reason"]).mean() > 0.98
@@ -140,7 +148,7 @@ def test_full_resolution_has_none_of_it(context: "Context") -> None:
         assert "reflection_guide" not in images
         less = render(fresh, scene(), "half").receipt["plan"]
         cells = (SIZE[0] + 1) // 2 * ((SIZE[1] + 1) // 2)
-        handed_on = 36 * SIZE[0] * SIZE[1] * any(p.startswith("reflect_ray") for p in plain["programs"])
+        handed_on = 28 * SIZE[0] * SIZE[1] * any(p.startswith("reflect_ray") for p in plain["programs"])
         assert less["image_bytes"] - plain["image_bytes"] + handed_on == 32 * cells
         assert not any(p.startswith("reflect ") for p in set(less["programs"]) - set(plain["programs"]))
 
@@ -149,6 +157,5 @@ def test_another_size_after_the_first(renderer: gh.Renderer) -> None:
     """The list grows with the picture."""
     made = scene()
     for size in (SIZE, (90, 70), (33, 20)):
-        assert np.array_equal(
-            render(renderer, made, "half", 0.0, size)["radiance"], render(renderer, made, size=size)["radiance"]
-        )
+        sparse, each = render(renderer, made, "half", 0.0, size), render(renderer, made, size=size)
+        assert same(renderer, sparse["radiance"], each["radiance"])

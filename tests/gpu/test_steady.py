@@ -146,7 +146,7 @@ class Calls:
 @pytest.mark.parametrize("objects", [1, 500])
 @pytest.mark.parametrize(
     ("kernels", "dispatches", "images", "python", "c"),
-    [("fused", 4, 8, 68, 80), ("split", 6, 11, 79, 101), ("joined", 4, 10, 74, 88)],
+    [("fused", 4, 8, 68, 80), ("split", 6, 12, 79, 102), ("joined", 4, 11, 74, 89)],
 )
 def test_what_a_steady_frame_calls(
     renderer: gh.Renderer, objects: int, kernels: str, dispatches: int, images: int, python: int, c: int

@@ -251,7 +251,7 @@ def test_only_what_marches_has_planes(context: "Context") -> None:
         width, rows = (SIZE[0] + 1) // 2, 256
         planes, level = 16 * SIZE[0] * SIZE[1], 4 * width * rows
         parts = {p.split()[0] for p in plain["programs"]}
-        handed_on = (32 * ("reflect_ray" in parts) + 4 * ("reflect_shadow" in parts)) * SIZE[0] * SIZE[1]
+        handed_on = (24 * ("reflect_ray" in parts) + 4 * ("reflect_shadow" in parts)) * SIZE[0] * SIZE[1]
         plain_bytes = plain["image_bytes"] - handed_on  # of reflections in three programs
         assert rays["image_bytes"] - plain_bytes == planes + level
         assert march["image_bytes"] - plain_bytes == planes + 2 * level
