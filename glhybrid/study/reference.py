@@ -141,6 +141,7 @@ class _Parts:
 
     def __init__(self, sums: F32, count: int, batches: int, seconds: float) -> None:
         self.sums, self.count, self.batches, self.seconds = sums, count, batches, seconds
+        self._known: tuple[int, Any, Any] | None = None  # pictures() of so many batches
 
     @staticmethod
     def empty(size: tuple[int, int]) -> "_Parts":
@@ -156,9 +157,11 @@ class _Parts:
 
     def pictures(self) -> tuple[Any, Any]:
         """The whole, and a picture one standard deviation away from it."""
-        whole = mean_of_means(self.sums).astype(np.float64) / self.count
-        a, b = (mean_of_means(self.sums[half::2]) / self.count for half in range(2))
-        return whole, np.maximum(whole + (a - b) / 2, 0)
+        if self._known is None or self._known[0] != self.batches:  # seconds, where pictures are large
+            whole = mean_of_means(self.sums).astype(np.float64) / self.count
+            a, b = (mean_of_means(self.sums[half::2]) / self.count for half in range(2))
+            self._known = self.batches, whole, np.maximum(whole + (a - b) / 2, 0)
+        return self._known[1:]
 
     def noise_flip(self) -> float:
         if not self.count:

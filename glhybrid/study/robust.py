@@ -1,13 +1,16 @@
 """A mean that a few paths do not decide: what light transport finds by one path in a million is a speck in a picture of
 thousands, and would be taken for an error of everything that is held against it."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 from numpy.typing import NDArray
 
+from glhybrid.bvh.blas import threads_available
 from glhybrid.scene import F32
 from glhybrid.study.picture import LUMINANCE
 
-ROWS = 64  # of a picture at once: its parts are sorted
+ROWS = 32  # of a picture at once, a thread each
 REACH = 2  # pixels to each side of a neighbourhood
 
 
@@ -23,6 +26,22 @@ def mean_of_means(parts: F32) -> F32:
     pixels of which something was left out are scaled to what the same estimate makes of their neighbourhood.
     The more paths a part has the less the parts differ: what is left out falls to nothing, the estimate is consistent.
     """
+    height = parts.shape[1]
+    found = np.empty(parts.shape[1:], np.float32)
+
+    def band(first: int) -> None:
+        low, high = (
+            max(first - REACH, 0),
+            min(first + ROWS + REACH, height),
+        )  # with the neighbours of its first and last row
+        found[first : first + ROWS] = _of_band(parts[:, low:high])[first - low :][:ROWS]
+
+    with ThreadPoolExecutor(threads_available()) as pool:
+        list(pool.map(band, range(0, height, ROWS)))
+    return found
+
+
+def _of_band(parts: F32) -> F32:
     level = np.stack([part @ LUMINANCE.astype(np.float32) for part in parts])
     found, cut = _trimmed(parts, level)
     if not cut.any():
@@ -36,20 +55,15 @@ def mean_of_means(parts: F32) -> F32:
 
 def _trimmed(parts: F32, level: F32) -> tuple[F32, NDArray[np.bool_]]:
     """(H, W, C) the mean of the inner parts by their level (M, H, W), and (H, W) where some were left out."""
-    count, height, width = level.shape
-    found, cut = np.empty(parts.shape[1:], np.float32), np.empty((height, width), bool)
+    count = len(level)
     weight = (2 * np.arange(count) + 1 - count).astype(np.float32)
-    for first in range(0, height, ROWS):
-        rows = slice(first, first + ROWS)
-        order = np.sort(np.ascontiguousarray(np.moveaxis(level[:, rows], 0, -1)), -1)
-        gini = order @ weight / np.maximum(count * order.sum(-1), 1e-30)
-        out = np.minimum((gini * count / 2).astype(int), (count - 1) // 2)
-        low = np.take_along_axis(order, out[..., None], -1)[..., 0]
-        high = np.take_along_axis(order, count - 1 - out[..., None], -1)[..., 0]
-        kept = ((level[:, rows] >= low) & (level[:, rows] <= high)).astype(np.float32)
-        found[rows] = np.einsum("mhw,mhwc->hwc", kept, parts[:, rows]) / kept.sum(0)[..., None]
-        cut[rows] = out > 0
-    return found, cut
+    order = np.sort(np.ascontiguousarray(np.moveaxis(level, 0, -1)), -1)
+    gini = order @ weight / np.maximum(count * order.sum(-1), 1e-30)
+    out = np.minimum((gini * count / 2).astype(int), (count - 1) // 2)
+    low = np.take_along_axis(order, out[..., None], -1)[..., 0]
+    high = np.take_along_axis(order, count - 1 - out[..., None], -1)[..., 0]
+    kept = ((level >= low) & (level <= high)).astype(np.float32)
+    return np.einsum("mhw,mhwc->hwc", kept, parts) / kept.sum(0)[..., None], out > 0
 
 
 def _around(image: NDArray[np.floating]) -> F32:

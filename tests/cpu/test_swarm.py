@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tree_oracle import sah_cost
 
 from glhybrid import bvh, keys, motion, pose
 from glhybrid.errors import GeometryError
 from glhybrid.load.shapes import box
-from glhybrid.passes.refit import sah_cost
 from glhybrid.scene import Animation, Channel, Instance, Mesh, Node, Scene, Triangles
 
 COUNT = 1500

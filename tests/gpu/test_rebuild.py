@@ -10,6 +10,7 @@ import pytest
 import rays as ray
 from rays import Rays
 from test_motion import MovingTracer, channel, deformer_scene, scene_named
+from tree_oracle import sah_cost
 
 from glhybrid import bvh, layout
 from glhybrid.bench import movers
@@ -71,17 +72,6 @@ def built_tree(tracer: MovingTracer, mesh: int) -> Blas:
     cost = refit.sah_cost(mesh)
     assert cost == pytest.approx(sah_cost(own, row["grid_step"].astype(np.float64)), rel=1e-5)
     return Blas(own, own_slots, row["grid_min"], row["grid_step"], bounds, depth, cost, 0.0)
-
-
-def sah_cost(nodes: Any, grid_step: Any) -> float:
-    """In float64, of nodes (N, 8): node and triangle at 1, relative to the root's area."""
-    children = nodes.reshape(-1, 2, 4)
-    words, refs = children[..., :3], children[..., 3]
-    low, high = (words & 0xFFFF).astype(np.int64), (words >> 16).astype(np.int64)
-    x, y, z = np.moveaxis((high - low) * grid_step, -1, 0)
-    a, b, c = (high[0].max(0) - low[0].min(0)) * grid_step
-    root = a * b + b * c + c * a
-    return float(1 + ((x * y + y * z + z * x) * np.where(refs < LEAF, 1, refs & 15)).sum() / root)
 
 
 def prove(tracer: MovingTracer) -> list[Blas]:
