@@ -38,7 +38,7 @@ class Features:
     specular_sky: bool = False  # the environment is seen in the specular lobe
     shadow_rays: bool = False  # hits and layers send their own
     shadow_bits: bool = False  # and their answers are yes or no, for at most 32 lights
-    one_light: bool = False  # the number of lights
+    one_light: bool = False  # and no more: shadow rays need no loop
     light_discs: bool = False  # a light has a size, and rays go to all of its disc
     visibility: bool = False  # a shadow pass runs
     shadow_maps: bool = False  # and looks up depth maps, as do hits and layers

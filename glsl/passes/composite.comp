@@ -1,6 +1,6 @@
 // passes/composite.comp -- direct light times visibility, emission, sky and reflection, then the blended layers in
 // front: linear radiance of a pixel.
-#define TEST_LAST    // this program alone is faster for it on an H100 too: Sponza 0.27 -> 0.16 ms
+#define TEST_LAST    // this program alone is faster for it on an H100 too: Sponza 0.27 -> 0.24 ms, atrium 0.31 -> 0.22
 #include "lib/gbuffer.glsl"
 #include "lib/shade.glsl"
 #if USE_GLOSSY
