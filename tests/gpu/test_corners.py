@@ -128,3 +128,22 @@ def test_corners_are_half_open(renderer: gh.Renderer, context: "Context") -> Non
         frame = renderer.render(scene.replace(environment=sky), camera, (SIDE, SIDE), settings, ("occlusion",))
         corners = np.diagonal(frame["occlusion"][..., 0] if frame["occlusion"].ndim == 3 else frame["occlusion"])[8:28]
         assert abs(corners.mean() - 0.5) < 0.05 and corners.min() > 0.3
+
+
+@pytest.mark.parametrize("levels", [1, 2])
+def test_a_lamp_on_a_surface_is_in_its_shadow_everywhere(
+    renderer: gh.Renderer, context: "Context", levels: Any
+) -> None:
+    """Whichever way rounding goes: a shadow ray that ended exactly at the lamp would meet the surface here and not there."""
+    floor, lid = box(size=(6, 0.2, 6)), box(size=(6, 0.3, 6))
+    height = 1.7 + 0.1  # of the lid's underside, no round number
+    scene = scene_of(
+        floor, lid, poses=[moved((0, -0.1, 0)), moved((0, height + 0.15, 0))], materials=(Material(double_sided=True),)
+    )
+    lamp = Light("point", intensity=10.0, position=(0.31, height, -0.17))
+    camera = Camera.look_at((2.5, 1.0, 2.5), (0, 0, 0))
+    settings = gh.Settings(aa=1, exposure=0.0, levels=levels)
+    frame = renderer.render(scene.replace(lights=(lamp,)), camera, (SIDE, SIDE), settings, ("visibility", "position"))
+    on_floor = (np.abs(frame["position"][..., 1]) < 1e-3) & np.isfinite(frame["position"]).all(-1)
+    assert on_floor.sum() > 2000
+    assert frame["visibility"][on_floor].mean() < 0.01
