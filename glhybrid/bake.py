@@ -133,6 +133,7 @@ class Bake:
         return np.rint(np.clip(plane, 0, 1) * 255).astype(np.uint8).tobytes()
 
     def close(self) -> None:
+        """Frees what tracing needs; planes made so far stay valid."""
         self._tracer.release()
 
 

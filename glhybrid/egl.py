@@ -76,6 +76,7 @@ class EglDevice:
 
     @property
     def name(self) -> str:
+        """As --device takes it; `surfaceless` for Mesa's platform without a device."""
         return f"egl:{self.index}" if self.index >= 0 else "surfaceless"
 
     def __str__(self) -> str:
@@ -229,11 +230,13 @@ class EglContext:
         return config.value
 
     def make_current(self) -> None:
+        """Raises DeviceError where another thread has it."""
         egl = _egl()
         if not egl.eglMakeCurrent(self._display, self._surface, self._surface, self._context):
             raise DeviceError(f"eglMakeCurrent: {egl.error()}: is the context current in another thread?")
 
     def load_opengl_function(self, name: str) -> int:
+        """Its address; 0 if the driver has none."""
         return _egl().eglGetProcAddress(name.encode()) or 0
 
     load = load_opengl_function  # moderngl's newer name for the same

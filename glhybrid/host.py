@@ -54,6 +54,7 @@ class Host:
     environment: dict[str, str]  # variables that redirect OpenGL
 
     def to_dict(self) -> dict[str, object]:
+        """Ready for JSON: what `doctor --json` says of the machine."""
         return asdict(self)
 
 

@@ -61,11 +61,13 @@ class OsmesaContext:
         self.make_current()
 
     def make_current(self) -> None:
+        """Raises DeviceError where another thread has it."""
         egl.unbind()
         if not self._library.OSMesaMakeCurrent(self._context, self._pixel, _UNSIGNED_BYTE, 1, 1):
             raise DeviceError("OSMesaMakeCurrent failed: is the context current in another thread?")
 
     def load_opengl_function(self, name: str) -> int:
+        """Its address; 0 if the driver has none."""
         return self._library.OSMesaGetProcAddress(name.encode()) or 0
 
     load = load_opengl_function

@@ -47,6 +47,7 @@ class Piece:
     size: int
 
     def read(self) -> bytes:
+        """Waits for the GPU."""
         return self.buffer.read(self.size, offset=self.offset)
 
 
@@ -64,10 +65,12 @@ class Ring:
 
     @property
     def full(self) -> bool:
+        """Whether a set has to be taken before the next is sent."""
         return not self._free
 
     @property
     def bytes(self) -> int:
+        """Of its buffers, as far as they have grown."""
         return sum(slot.size for slot in (*self._free, *(slot for slot, _ in self._sent)))
 
     def send(self, readings: Sequence[Reading[Any]]) -> None:
@@ -102,6 +105,7 @@ class Ring:
         return [part.result for part in parts]
 
     def release(self) -> None:
+        """Frees the buffers; sets under way are lost."""
         for slot in (*self._free, *(slot for slot, _ in self._sent)):
             slot.release()
         self._free.clear()

@@ -26,6 +26,7 @@ class Build:
     ratio_sah_binned: float
 
     def to_dict(self) -> dict[str, Any]:
+        """Ready for JSON: one of the report's `builds`."""
         return {key: getattr(self, key) for key in ("triangles", "mtris_s", "sah_cost", "ratio_sah_binned")}
 
 

@@ -44,6 +44,7 @@ class Sample:
     batch: int = 1
 
     def median(self, clock: str) -> float:
+        """Milliseconds a launch. clock: "wall", "cpu" or "gpu"."""
         return float(np.median(getattr(self, clock)))
 
     def spread(self, clock: str) -> float:

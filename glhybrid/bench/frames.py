@@ -40,6 +40,7 @@ class FrameTimes:
     host_moving_us: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
+        """Ready for JSON: one of the report's `frames`."""
         return {
             "scene": self.scene,
             "size": list(self.size),

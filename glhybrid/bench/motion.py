@@ -104,6 +104,8 @@ class Read:
 
 @dataclass
 class MotionReport:
+    """What `glhybrid bench --motion` found, a table for each of TABLES."""
+
     machine: dict[str, Any]
     refit: list[Played] = field(default_factory=list)
     deformed: list[Deformed] = field(default_factory=list)
@@ -112,6 +114,7 @@ class MotionReport:
 
     @property
     def failures(self) -> list[str]:
+        """A sentence for each animation whose pictures hang on the age of its trees."""
         return [
             f"{p.scene}, rebuild = {p.rebuild:g}: a picture differs by {p.error:g} from that with trees built for it"
             for p in self.refit
@@ -119,6 +122,7 @@ class MotionReport:
         ]
 
     def to_dict(self) -> dict[str, Any]:
+        """Ready for JSON; failures stand under `machine`."""
         rows = {name: [asdict(row) for row in getattr(self, name)] for name in TABLES}
         return {"machine": self.machine | {"failures": self.failures}} | rows
 

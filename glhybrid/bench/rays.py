@@ -117,6 +117,7 @@ class Structure:
         self.resources: dict[str, Any] = {**self.upload.resources, "Frame": self.frame}
 
     def program(self, stem: str, **changes: Any) -> Any:
+        """A kernel of glsl/bench for this scene. changes: features that differ from the renderer's."""
         return self.shaders.compute(stem, self.features.replace(**changes), folder="bench")
 
     def release(self) -> None:
@@ -142,6 +143,7 @@ class Tracer:
         self._sources = {name: self._upload_rays(rays) for name, rays in self.rays.items()}
 
     def structure(self, levels: int) -> Structure:
+        """Made when it is first asked for. levels: 1 or 2."""
         if levels not in self._structures:
             self._structures[levels] = Structure(
                 self.context, self.shaders, self.scene, levels, self.view.origin
@@ -218,6 +220,7 @@ class Tracer:
         return np.concatenate(corners) if corners else None
 
     def close(self) -> None:
+        """Frees rays and structures."""
         for owned in reversed(self._owned):
             owned.release()
         self._owned.clear()

@@ -40,6 +40,7 @@ class Row:
     peer: bool = False
 
     def to_dict(self) -> dict[str, Any]:
+        """Ready for JSON: one of the report's `rows`."""
         keys = ("scene", "triangles", "rays", "variant", "mrays_s", "ratio_embree_per_core")
         return {key: getattr(self, key) for key in keys}
 
@@ -64,10 +65,12 @@ class Report:
     notes: list[str] = field(default_factory=list)
 
     def note(self, text: str) -> None:
+        """Adds a remark, once."""
         if text not in self.notes:
             self.notes.append(text)
 
     def to_dict(self) -> dict[str, Any]:
+        """Ready for JSON: what `bench --json` prints. Failures, notes and measurements stand under `machine`."""
         about = {
             "failures": self.failures,
             "notes": self.notes,

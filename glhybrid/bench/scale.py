@@ -69,6 +69,7 @@ class Point:
     buffer_bytes: int
 
     def to_dict(self) -> dict[str, Any]:
+        """Ready for JSON; passes as in the receipt."""
         passes = [{"name": name, "ms": ms} for name, ms in self.passes.items()]
         return {**self.__dict__, "size": list(self.size), "passes": passes}
 
@@ -94,6 +95,7 @@ class Curve:
         return {name: exponent(values, row) for name, row in found.items() if len(row) > 2 and min(row) > 0}
 
     def to_dict(self) -> dict[str, Any]:
+        """Ready for JSON, with its exponents."""
         points = [p.to_dict() for p in self.points]
         return {"over": self.over, "points": points, "exponents": self.exponents, "ended": self.ended}
 
@@ -105,10 +107,13 @@ def exponent(x: Sequence[float], y: Sequence[float]) -> float:
 
 @dataclass
 class Scaling:
+    """What `glhybrid bench --scale` found."""
+
     machine: dict[str, Any]
     curves: list[Curve] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, Any]:
+        """Ready for JSON."""
         return {"machine": self.machine, "curves": [curve.to_dict() for curve in self.curves]}
 
 

@@ -32,6 +32,7 @@ class Surface:
         return max(round(self.width / size), 6 if self.closed else 1), max(round(self.height / size), 3 * self.poles, 1)
 
     def triangles(self, size: float) -> int:
+        """How many cut() would make."""
         columns, rows = self.cells(size)
         return 2 * columns * (rows - self.poles)
 

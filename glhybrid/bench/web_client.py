@@ -31,6 +31,7 @@ class Client:
         self.frames: list[float] = []
 
     async def receive(self) -> None:
+        """Notes frames and acknowledges them, until the socket closes."""
         async for message in self._socket:
             if message.type == aiohttp.WSMsgType.BINARY:
                 self.frames.append(time.perf_counter())
@@ -48,6 +49,7 @@ class Client:
             await asyncio.sleep(max(count / RATE - (time.perf_counter() - start), 0))
 
     async def release(self) -> None:
+        """Lets the mouse button go."""
         await self._socket.send_str('["button", 0, false]')
 
     async def _move(self) -> None:
@@ -57,6 +59,7 @@ class Client:
 
 
 async def run(url: str, size: tuple[int, int], seconds: float, rests: int) -> dict[str, Any]:
+    """One session, as printed. url: the viewer's address with its token."""
     parts = urlsplit(url)
     address = f"{parts.scheme}://{parts.netloc}/events?{parts.query}"
     async with aiohttp.ClientSession() as session, session.ws_connect(address, max_msg_size=0) as socket:

@@ -54,6 +54,7 @@ class Blas:
 
     @property
     def nbytes(self) -> int:
+        """Bytes of its arrays, as they are uploaded."""
         return self.nodes.nbytes + self.slots.nbytes
 
     def stats(self) -> dict[str, Any]:

@@ -31,6 +31,7 @@ class Tlas:
 
     @property
     def nbytes(self) -> int:
+        """Bytes of its nodes, as they are uploaded."""
         return self.nodes.nbytes
 
     def stats(self) -> dict[str, Any]:

@@ -175,12 +175,15 @@ def moved_camera(camera: Camera, world: F64, node: int) -> Camera:
 
 
 def two(v: Any) -> tuple[float, float]:
+    """The first two numbers, as a type that says how many."""
     return float(v[0]), float(v[1])
 
 
 def three(v: tuple[float, ...]) -> tuple[float, float, float]:
+    """The first three numbers, as a type that says how many."""
     return v[0], v[1], v[2]
 
 
 def four(v: tuple[float, ...]) -> tuple[float, float, float, float]:
+    """The first four numbers, as a type that says how many."""
     return v[0], v[1], v[2], v[3]

@@ -78,6 +78,7 @@ class Baked:
 
     @property
     def bytes(self) -> int:
+        """Of the atlas and its tables."""
         pages, height, width = self.layout.pages
         tables = sum(o.size for o in self._owned if isinstance(o, moderngl.Buffer))
         return len(self._scene.lights) * pages * height * width * self._components + tables

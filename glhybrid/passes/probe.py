@@ -140,6 +140,7 @@ class Probe:
 
     @property
     def bytes(self) -> int:
+        """Of the cube maps and their rougher levels."""
         images = [t for t in self._owned if isinstance(t, moderngl.TextureArray)]
         return sum(8 * t.width * t.height * t.layers for t in images)
 

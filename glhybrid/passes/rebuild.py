@@ -82,6 +82,7 @@ class Rebuild:
 
     @property
     def dispatches(self) -> int:
+        """How many run() takes."""
         return len(self._steps)
 
     @property

@@ -95,6 +95,7 @@ class Refit:
 
     @property
     def bytes(self) -> int:
+        """Of everything that keeps trees up to date, the builder's buffers included."""
         own = self._tree_buffer.size + self._way.bytes + self._ring.bytes
         return int(own + sum(part.bytes for part in (self._builder, self._cost) if part is not None))
 

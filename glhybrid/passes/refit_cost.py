@@ -38,6 +38,7 @@ class Cost:
 
     @property
     def bytes(self) -> int:
+        """Of its buffers."""
         return int(self._parts.size + self._costs.size)
 
     def release(self) -> None:

@@ -38,13 +38,16 @@ class Way(Protocol):
     def run(self) -> None:
         """New boxes."""
 
-    def release(self) -> None: ...
+    def release(self) -> None:
+        """Frees its buffers, not the given ones."""
 
     @property
-    def dispatches(self) -> int: ...
+    def dispatches(self) -> int:
+        """How many run() takes."""
 
     @property
-    def bytes(self) -> int: ...
+    def bytes(self) -> int:
+        """Of its own buffers."""
 
 
 class Levels:

@@ -48,6 +48,7 @@ class Sky:
 
     @property
     def bytes(self) -> int:
+        """Of its textures."""
         textures = [t for t in self.resources.values() if isinstance(t, moderngl.Texture)]
         return sum(t.width * t.height * t.components * (4 if t.dtype == "f4" else 2) for t in textures)
 

@@ -20,6 +20,7 @@ class Budget:
 
     @staticmethod
     def of(software: bool) -> "Budget":
+        """What a device of this kind starts with."""
         return Budget(SOFTWARE_MS, FIRST_SOFTWARE) if software else Budget(GPU_MS)
 
     def note(self, ms: float, scale: float) -> None:

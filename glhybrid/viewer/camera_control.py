@@ -27,6 +27,7 @@ def axes(pose: Pose) -> tuple[F64, F64, F64]:
 
 
 def distance(pose: Pose) -> float:
+    """From the eye to the target, m."""
     return float(np.linalg.norm(np.subtract(pose.target, pose.eye)))
 
 

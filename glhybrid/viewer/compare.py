@@ -89,6 +89,7 @@ class Differ:
 
 
 def has_flip() -> bool:
+    """Whether `pip install glhybrid[study]` was done: FLIP is optional."""
     try:
         importlib.import_module("flip_evaluator")
     except ImportError:
@@ -120,6 +121,7 @@ class Worker:
 
     @property
     def busy(self) -> bool:
+        """Whether a result is on its way, or waits for flipped()."""
         return self._flip is not None
 
     def start(self, key: Any, rgb: U8, reference: U8) -> None:
@@ -137,6 +139,7 @@ class Worker:
         return key, *future.result()
 
     def close(self) -> None:
+        """Waits for the work under way; its result is lost."""
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
             self._pool = None

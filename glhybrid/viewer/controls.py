@@ -227,10 +227,12 @@ class Controls:
             self.act(action, self.pointer)
 
     def flip(self) -> None:
+        """Shows settings B in place of A, or A again."""
         self.session.flipped = not self.session.flipped
         self.session.edited()
 
     def play(self) -> None:
+        """Starts or halts the clip; the file's first where none is chosen."""
         session = self.session
         if session.transport.clip < 0 and session.scene.animations:
             session.transport.choose(session.scene, 0)

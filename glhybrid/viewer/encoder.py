@@ -62,6 +62,7 @@ class Encoders:
         }
 
     def slot(self, number: int) -> memoryview:
+        """Memory that the processes share, for the RGBA bytes of a picture."""
         return memoryview(self._memory)[number * self._room : (number + 1) * self._room]
 
     def encode(self, frame: Coded) -> bytes:

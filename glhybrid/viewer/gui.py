@@ -140,10 +140,12 @@ class Gui:
 
     @property
     def wants_pointer(self) -> bool:
+        """Whether the panel, not the camera, gets what the pointer does."""
         return bool(self.io.want_capture_mouse)
 
     @property
     def wants_keys(self) -> bool:
+        """Whether a text is being typed."""
         return bool(self.io.want_text_input)
 
     def begin(self, seconds: float) -> None:

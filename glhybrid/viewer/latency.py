@@ -75,10 +75,12 @@ class Hand:
         self._began, self._next, self._waiting = time.perf_counter(), 0, None
 
     def release(self) -> None:
+        """The pointer lets go with the next poll()."""
         self._began = self._waiting = None
         self._next = -1
 
     def poll(self, timeout: float) -> list[Event]:
+        """The surface's events, and the hand's that are due by now."""
         found: list[Event] = list(self.surface.poll(0.0 if self._began is not None or self._next < 0 else timeout))
         if self._next < 0:
             self._next = 0
@@ -99,6 +101,7 @@ class Hand:
         return [*found, *first, *moves]
 
     def present(self, image: Any, moving: bool) -> None:
+        """Notes how long the oldest motion waited to be seen, ms."""
         self.surface.present(image, moving)
         self.surface.context.raw.glFinish()
         if self._waiting is not None and moving:

@@ -34,6 +34,7 @@ class Measure:
 
     @property
     def busy(self) -> bool:
+        """Whether FLIP is being worked out."""
         return self._worker.busy
 
     def forget(self, side: str) -> None:
@@ -62,6 +63,7 @@ class Measure:
 
     @property
     def differ(self) -> compare.Differ:
+        """Made, and its programs compiled, when it is first asked for."""
         if self._differ is None:
             palette = self._upload("ramp magma", views.palette("magma")[None])
             self._differ = compare.Differ(self._renderer.context, self._renderer.shaders, palette)
@@ -116,6 +118,7 @@ class Measure:
         return self.deliver(wait=True)
 
     def close(self) -> None:
+        """Ends the process for FLIP and frees the images."""
         self._worker.close()
         if self._differ is not None:
             self._differ.release()

@@ -36,6 +36,7 @@ class Panels:
         return round(WIDTH * self._scale) if self._session.panel else 0
 
     def draw(self, size: tuple[int, int]) -> None:
+        """All of it, for this frame. size: of the surface, pixels."""
         imgui = self._gui.imgui
         if self._session.scene.animations:
             self._transport(size)

@@ -54,6 +54,7 @@ class Picture:
 
     @property
     def finished(self) -> bool:
+        """Whether no further sample is wanted."""
         return self._wanted is None or (self.done > 0 and self.done >= self.total)
 
     @property
@@ -120,6 +121,7 @@ class Picture:
             raise
 
     def medians(self) -> dict[str, float]:
+        """Milliseconds of a sample by pass, over the last WINDOW at full size."""
         return {name: median(values) for name, values in self.ms.items() if values}
 
     def show(self, exposure_ev: float | None = None) -> Any:

@@ -37,6 +37,7 @@ def folder() -> Path:
 
 
 def path() -> Path:
+    """The file that settings and bookmarks are kept in."""
     return folder() / "viewer.json"
 
 
@@ -117,6 +118,7 @@ class Bookmarks:
                 self._all[str(scene)] = good
 
     def of(self, scene: str) -> list[tuple[str, Pose]]:
+        """Names and cameras, the oldest first."""
         return [(row["name"], _pose(row["pose"])) for row in self._all.get(scene, [])]
 
     def add(self, scene: str, name: str, pose: Pose) -> None:
@@ -127,11 +129,13 @@ class Bookmarks:
         del rows[:-MOST_BOOKMARKS]
 
     def remove(self, scene: str, name: str) -> None:
+        """No error where there is none."""
         self._all[scene] = [row for row in self._all.get(scene, []) if row["name"] != name]
         if not self._all[scene]:
             del self._all[scene]
 
     def to_dict(self) -> dict[str, Any]:
+        """Ready for the file; what __init__ takes."""
         return {"bookmarks": self._all}
 
 

@@ -38,6 +38,7 @@ class Job:
 
     @property
     def shown(self) -> bool:
+        """Whether it has taken long enough to be told."""
         return self.at_once or clock.monotonic() - self.since > PATIENCE_S
 
 

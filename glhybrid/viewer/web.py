@@ -126,9 +126,11 @@ class Web(Memory):
 
     @property
     def size(self) -> tuple[int, int]:
+        """What the browser had asked for by the last poll(), pixels."""
         return self._size
 
     def poll(self, timeout: float) -> list[Event]:
+        """Waits for the browser; where it asked for another size, an event is sure to come."""
         with self._lock:
             if not self._queue and self._wanted_size == self._size and timeout > 0:
                 self._lock.wait(timeout)
@@ -141,6 +143,7 @@ class Web(Memory):
         return found
 
     def present(self, image: Any, moving: bool) -> None:
+        """Copies it for the encoder, which has the newest picture only."""
         super().present(image, moving)
         if self._client is None:
             return

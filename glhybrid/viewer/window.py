@@ -64,7 +64,7 @@ class Native:
 
 
 class Window:
-    """Raises DeviceError where there is no display or the display's OpenGL is below 4.3 or not the device asked for."""
+    """A surface on the desktop. Raises DeviceError where there is no display or the display's OpenGL is below 4.3 or not the device asked for."""
 
     def __init__(
         self, size: tuple[int, int], device: str = "auto", title: str = "glhybrid", vsync: bool = True
@@ -139,6 +139,7 @@ class Window:
 
     @property
     def size(self) -> tuple[int, int]:
+        """Of the framebuffer, pixels; 1x1 while minimised."""
         width, height = self._glfw.get_framebuffer_size(self._window)
         return max(width, 1), max(height, 1)
 
