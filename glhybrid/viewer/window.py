@@ -64,7 +64,10 @@ class Native:
 
 
 class Window:
-    """A surface on the desktop. Raises DeviceError where there is no display or the display's OpenGL is below 4.3 or not the device asked for."""
+    """A surface on the desktop.
+
+    Raises DeviceError where there is no display or the display's OpenGL is below 4.3 or not the device asked for.
+    """
 
     def __init__(
         self, size: tuple[int, int], device: str = "auto", title: str = "glhybrid", vsync: bool = True

@@ -1,5 +1,6 @@
-"""Small glTF assets for tests, written from NumPy arrays."""
+"""Small glTF assets for tests, written from NumPy arrays, and a look at what was read of them."""
 
+import base64
 import json
 import struct
 from pathlib import Path
@@ -7,11 +8,17 @@ from typing import Any
 
 import numpy as np
 
+from glhybrid.load.gltf import load_gltf
+from glhybrid.scene import Scene, Triangles
+
 COMPONENTS = {"int8": 5120, "uint8": 5121, "int16": 5122, "uint16": 5123, "uint32": 5125, "float32": 5126}
 TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 QUAD = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
 QUAD_UV = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32)  # upright image: v down
 QUAD_INDEX = np.array([0, 1, 2, 0, 2, 3], np.uint16)
+PNG = base64.b64decode(
+    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR4nGNgaGD4DwAChAGAJRc0xwAAAABJRU5ErkJggg=="
+)  # 1 x 1
 
 
 class Builder:
@@ -72,3 +79,24 @@ class Builder:
         path = folder / name
         path.write_bytes(self.glb())
         return path
+
+
+def load(builder: Builder, folder: Path, **options: Any) -> Scene:
+    return load_gltf(builder.write(folder), **options)
+
+
+def piece(scene: Scene, mesh: int = 0, primitive: int = 0) -> Triangles:
+    found = scene.meshes[mesh].primitives[primitive]
+    assert isinstance(found, Triangles)
+    return found
+
+
+def textured(**material: Any) -> Builder:
+    """A quad whose material may use texture 0, a 1 x 1 image."""
+    b = Builder()
+    b.scene(b.quad(material=0))
+    b.add("materials", **material)
+    b.add("textures", source=0, sampler=0)
+    b.add("samplers", wrapS=33071, wrapT=33648, magFilter=9728, minFilter=9729)
+    b.add("images", bufferView=b.view(PNG), mimeType="image/png", name="dot")
+    return b

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gltf_builder import Builder
-from test_gltf import load, piece
+from gltf_builder import Builder, load, piece
 
 from glhybrid import cli
 from glhybrid.deform import at_time

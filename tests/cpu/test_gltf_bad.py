@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gltf_builder import QUAD, QUAD_INDEX, Builder
-from test_gltf import PNG, load, textured
+from gltf_builder import PNG, QUAD, QUAD_INDEX, Builder, load, textured
 
 from glhybrid.errors import LoadError
 from glhybrid.load.gltf import load_gltf

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gltf_builder import QUAD, QUAD_INDEX, Builder
-from test_gltf import load, piece
+from gltf_builder import QUAD, QUAD_INDEX, Builder, load, piece
 
 from glhybrid.deform import at_rest as rest_pose
 from glhybrid.load import read_model

@@ -1,6 +1,5 @@
 """load(): what it refuses, the light and camera it adds and says so, the built-in scenes."""
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -130,10 +129,8 @@ def test_builtin_scenes_are_listed_and_described() -> None:
     [("atrium", 150_000), ("plaza", 1_000_000), ("showroom", 50_000), ("cornell", 24), ("grey", 2)],
 )
 def test_builtin_scenes_load(name: str, triangles: int) -> None:
-    started = time.process_time()
     made = load(name, strict=True)
     assert made.triangle_count() >= triangles and made.warnings == () and made.cameras
-    assert time.process_time() - started < 10  # 0.6 s on an idle machine; this only catches what got very slow
     used = {m for i in made.instances for m in i.materials or ()}
     assert used == set(range(len(made.materials))), "a material nobody uses"
     if name == "atrium":
