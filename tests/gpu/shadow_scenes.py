@@ -3,14 +3,27 @@
 from typing import Any
 
 import numpy as np
-from rays import moved, scene_of, unit
+from rays import moved, piece, scene_of, unit
 
+import glhybrid as gh
 from glhybrid.image import Frame
 from glhybrid.load.shapes import box
-from glhybrid.scene import F64, Camera, Instance, Light, Material, Scene, Sphere
+from glhybrid.scene import F64, Camera, Image, Instance, Light, Material, Scene, Sphere, Texture
 
 WHITE = Material(double_sided=True)
+S1 = (640, 480)  # posts() are seen at
 FACING = ("normal_geometric", "distance", "position")  # AOVs that facing() looks at
+
+
+def settings(technique: str, reflections: str = "none", levels: Any = "auto", **parameters: Any) -> gh.Settings:
+    """parameters: of the technique."""
+    dotted = {f"shadows.{technique}.{key}": value for key, value in parameters.items()}
+    return gh.Settings(aa=1, exposure=0.0, shadows=technique, reflections=reflections, levels=levels, parameters=dotted)
+
+
+def seen(renderer: gh.Renderer, scene: Scene, camera: Camera, size: Any, technique: str, **parameters: Any) -> Frame:
+    """With the visibility, and the AOVs that facing() looks at."""
+    return renderer.render(scene, camera, size, settings(technique, **parameters), ("visibility", *FACING))
 
 
 def facing(frame: Frame, scene: Scene, light: int = 0) -> Any:
@@ -94,3 +107,39 @@ def half_plane(height: float, half_angle: float) -> tuple[Scene, Camera]:
     wide = 3 * height * float(np.tan(half_angle))
     view = Camera("down", camera.world_from_view, fov_y=0.0, near=1e-3, ymag=wide / 16, xmag=wide)
     return scene.replace(lights=(sun,)), view
+
+
+def cut_out() -> Material:
+    """A chequer of 8 x 8 holes."""
+    texels = np.full((8, 8, 4), 255, np.uint8)
+    texels[(np.indices((8, 8)).sum(0) % 2).astype(bool), 3] = 0
+    return Material(
+        alpha_mode="MASK",
+        double_sided=True,
+        textures={"base_color": Texture(Image(texels), nearest=True, mipmap=False)},
+    )
+
+
+def stage(light: Light) -> tuple[Scene, Camera]:
+    """A cut-out panel, a sphere, a box and a single-sided panel on a floor."""
+    quad, index = np.array([[-1, 0, 0], [1, 0, 0], [1, 1.6, 0], [-1, 1.6, 0]]), [[0, 1, 2], [0, 2, 3]]
+    uv = [[0, 1], [1, 1], [1, 0], [0, 0]]
+    parts = (
+        box(size=(9, 0.2, 9)), piece(quad, index, uv=uv), Sphere(0.5), box(size=(0.3, 1.2, 0.3)), piece(quad, index),
+    )  # fmt: skip
+    at = ((0, -0.1, 0), (-0.6, 0.05, -0.5), (1.5, 0.5, 1), (-1.8, 0.6, 1.2), (2, 0, -1.2))
+    scene = scene_of(*parts, poses=[moved(p) for p in at], materials=(WHITE, cut_out(), Material()))
+    instances = tuple(
+        Instance(i.mesh, i.world_from_object, materials=(slot,))
+        for i, slot in zip(scene.instances, (0, 1, 0, 0, 2), strict=True)
+    )
+    scene = scene.replace(instances=instances, lights=(light,))
+    return scene, Camera.look_at((3.5, 4, 5), (0, 0.3, 0), fov_y=0.75)
+
+
+LAMPS = {
+    "sun": Light("directional", direction=(-0.5, -0.7, 0.51)),
+    "spot": Light("spot", intensity=40, position=(2.5, 3.5, -2.5), direction=(-0.5, -0.7, 0.51), outer_cone=0.55),
+    "wide spot": Light("spot", intensity=20, position=(0.4, 2.5, -1.6), direction=(0, -1, 0), outer_cone=1.2),
+    "point": Light("point", intensity=15, position=(0.4, 2.1, 0.8)),
+}

@@ -1,7 +1,6 @@
 """Ambient occlusion against closed forms: rays converge to them, horizons come near where the screen shows it all, and
 fail where theory says: off the screen, and behind what is thin."""
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,13 +21,6 @@ SIZE = (160, 120)
 WHITE = Material(double_sided=True)
 SKY = Environment(np.ones((1, 1, 3), np.float32))
 FAR = 1e4  # m: without end
-
-
-@pytest.fixture(scope="module")
-def renderer(_shared_context: "Context") -> Iterator[gh.Renderer]:
-    _shared_context.make_current()
-    with gh.Renderer(context=_shared_context) as made:
-        yield made
 
 
 def seen(renderer: gh.Renderer, scene: Scene, camera: Camera, ao: str, **parameters: Any) -> Frame:

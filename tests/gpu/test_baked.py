@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+import shadow_scenes
 from rays import moved, piece, say, scene_of
 from shadow_scenes import FACING, WHITE, exact_visibility, facing, posts, room
 
@@ -20,7 +21,6 @@ from glhybrid import content_cache
 from glhybrid.bake import Bake
 from glhybrid.errors import SettingError
 from glhybrid.image import Frame
-from glhybrid.layout import CONSTANTS
 from glhybrid.load.shapes import box, torus
 from glhybrid.passes.baked import Baked
 from glhybrid.scene import (
@@ -59,9 +59,8 @@ def renderer(context: "Context") -> Iterator[gh.Renderer]:
         yield made
 
 
-def settings(shadows: str = "baked", reflections: str = "none", levels: Any = "auto", **parameters: Any) -> gh.Settings:
-    dotted = {f"shadows.baked.{key}": value for key, value in parameters.items()}
-    return gh.Settings(aa=1, exposure=0.0, shadows=shadows, reflections=reflections, levels=levels, parameters=dotted)
+def settings(shadows: str = "baked", **given: Any) -> gh.Settings:
+    return shadow_scenes.settings(shadows, **given)
 
 
 def seen(renderer: gh.Renderer, scene: Scene, camera: Camera, chosen: gh.Settings, size: Any = SIZE) -> Frame:
@@ -134,18 +133,6 @@ def test_the_error_falls_with_texels(renderer: gh.Renderer, context: "Context") 
     say(f"wrong shadow, %: {found}")
     assert found[0] < 2 and found[2] < 0.4
     assert all(1.5 < a / b < 3 for a, b in itertools.pairwise(found)), found
-
-
-def test_a_coarse_border_is_said(renderer: gh.Renderer, context: "Context") -> None:
-    """Where texels are larger than pixels, and nowhere else."""
-    scene, camera, _ = posts()
-    for texels, size, some in ((4, SIZE, True), (40, (32, 24), False)):
-        chosen = settings(texels=float(texels))
-        frame = renderer.render(scene, camera, size, chosen, ("visibility", "reason_shadows"))
-        coarse, lit = frame["reason_shadows"] == CONSTANTS["REASON_COARSE"], frame["visibility"][..., 0]
-        border = (lit > 0) & (lit < 1)
-        assert border.any() and coarse.any() == some and not coarse[~border].any()
-        assert not some or coarse[border].mean() > 0.99
 
 
 def test_light_leaks_by_a_row_of_texels_and_no_more(renderer: gh.Renderer, context: "Context") -> None:
@@ -401,7 +388,7 @@ def test_hits_of_mirror_rays_read_the_maps(renderer: gh.Renderer, context: "Cont
     camera = Camera.look_at((0, 1.2, 4), (0, 0.9, -3))
     pictures = {}
     for name in ("ray", "baked", "none"):
-        chosen = settings(name, "ray-lerp", **({"texels": 30.0} if name == "baked" else {}))
+        chosen = settings(name, reflections="ray-lerp", **({"texels": 30.0} if name == "baked" else {}))
         pictures[name] = renderer.render(scene, camera, SIZE, chosen, ("reflection", "instance_id", "bvh_steps"))
     on = pictures["ray"]["instance_id"] == 2
     truth, got, unshadowed = (pictures[n]["reflection"][on] for n in ("ray", "baked", "none"))

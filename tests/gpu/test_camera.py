@@ -5,7 +5,7 @@ pixel), or two surfaces are nearer to one another than a depth buffer tells; eac
 float64.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,13 +29,6 @@ NONE = 0xFFFFFFFF
 TWO_SIDED = Material(double_sided=True)
 ONE_SIDED = Material()
 View = tuple[Scene, Camera]
-
-
-@pytest.fixture(scope="module")
-def renderer(_shared_context: "Context") -> Iterator[gh.Renderer]:
-    _shared_context.make_current()
-    with gh.Renderer(context=_shared_context) as made:
-        yield made
 
 
 def bodies(materials: tuple[Material, ...] = (TWO_SIDED,)) -> Scene:

@@ -1,6 +1,5 @@
 """What could only be drawn wrong is refused, by the thing, its value and the limit; what shows nothing is said."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -20,12 +19,6 @@ if TYPE_CHECKING:
 NAN, INF = float("nan"), float("inf")
 SIZE = (32, 24)
 SETTINGS = gh.Settings(shadows="none", reflections="none", aa=1)
-
-
-@pytest.fixture(scope="module")
-def renderer(_shared_context: "Context") -> Iterator[gh.Renderer]:
-    with gh.Renderer(context=_shared_context) as made:
-        yield made
 
 
 def made() -> Scene:

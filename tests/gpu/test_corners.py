@@ -5,7 +5,6 @@ the floor or a wall under the centres of a row or column. Without a step back al
 in lib/geometry.glsl) 30 to 250 of 16,384 pixels are black in every case here; 0 is the bar.
 """
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,13 +32,6 @@ CASES: dict[str, dict[str, Any]] = {
     "two-sided, seen from behind": {"turn": 3, "behind": True},
     "corridor": {"turn": 2, "length": 60.0},
 }
-
-
-@pytest.fixture(scope="module")
-def renderer(_shared_context: "Context") -> Iterator[gh.Renderer]:
-    _shared_context.make_current()
-    with gh.Renderer(context=_shared_context) as made:
-        yield made
 
 
 def room(

@@ -1,6 +1,5 @@
 """Any number of lights: past 32, where hits carry no bit for each, as below; direct and in a mirror, against float64."""
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,13 +16,6 @@ if TYPE_CHECKING:
 
 MATT = Material(double_sided=True, specular=0.0)
 MIRROR = Material(double_sided=True, metallic=1.0, roughness=0.0)
-
-
-@pytest.fixture(scope="module")
-def renderer(_shared_context: "Context") -> Iterator[gh.Renderer]:
-    _shared_context.make_current()
-    with gh.Renderer(context=_shared_context) as made:
-        yield made
 
 
 def posts(count: int) -> tuple[Scene, Camera]:

@@ -1,6 +1,5 @@
 """Bad geometry: whole frames with it are those without it; what cannot be drawn is counted or refused, never lost."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -31,13 +30,6 @@ if TYPE_CHECKING:
 
 SIZE = (120, 90)
 NAMES = ("distance", "normal", "visibility", "reflection", "albedo", "position")
-
-
-@pytest.fixture(scope="module")
-def renderer(_shared_context: "Context") -> Iterator[gh.Renderer]:
-    _shared_context.make_current()
-    with gh.Renderer(context=_shared_context) as made:
-        yield made
 
 
 def settings(levels: int, **more: Any) -> gh.Settings:

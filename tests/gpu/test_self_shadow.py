@@ -3,7 +3,6 @@
 Whole frames through the Renderer. GLHYBRID_TEST_SCALE=100 is the full run: 32 surfaces in each place.
 """
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,13 +23,6 @@ PLACES = (0.0, 1e3, 1e5)
 SURFACES = ray.count(3200) // 100 if ray.SCALE < 100 else 32
 MIRROR = Material(double_sided=True, metallic=1, roughness=0.0)
 EXACT = gh.Settings(aa=1, exposure=0.0)
-
-
-@pytest.fixture(scope="module")
-def renderer(_shared_context: "Context") -> Iterator[gh.Renderer]:
-    _shared_context.make_current()
-    with gh.Renderer(context=_shared_context) as made:
-        yield made
 
 
 def settings(levels: int) -> gh.Settings:
