@@ -9,13 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from glhybrid import layout
+from glhybrid import layout, pieces
 from glhybrid.bvh import Blas, load_or_build
 from glhybrid.errors import GeometryError
 from glhybrid.levels import choose_levels
 from glhybrid.scene import F32, F64, U32, Instance, Material, Mesh, Scene, Sphere, Triangles
 
-SMALLEST_AREA = 1e-24  # m2, of the parallelogram: below it, products of three lengths underflow float32 in the ray test
 LARGEST = 1e12  # m: above it, they overflow
 
 
@@ -168,48 +167,26 @@ class _Builder:
 
     def add_piece(self, mesh: Mesh, k: int, geometry: int, to_mesh: F64 | None) -> tuple[int, int]:
         """Appends primitive k of a mesh, moved by to_mesh; returns its rows of triangles."""
-        piece = mesh.primitives[k]
-        assert isinstance(piece, Triangles)
-        position, normal, tangent = piece.position, _unit(piece.normal), piece.tangent
-        if tangent is not None:
-            tangent = np.concatenate([_unit(tangent[:, :3]), np.sign(_sane(tangent[:, 3:]))], axis=1)
-        index = piece.index
-        if to_mesh is not None:
-            linear = to_mesh[:3, :3]
-            with np.errstate(invalid="ignore", over="ignore"):  # vertices that are not finite are dropped below
-                position = (position.astype(np.float64) @ linear.T + to_mesh[:3, 3]).astype(np.float32)
-            # Not made unit again: interpolated, they must turn as those of an instance, which is moved as a whole.
-            linear = linear / np.cbrt(np.abs(np.linalg.det(linear)))
-            normal = normal @ np.linalg.inv(linear).astype(np.float32)
-            mirrored = np.linalg.det(linear) < 0
-            if tangent is not None:
-                direction = tangent[:, :3] @ linear.T.astype(np.float32)
-                tangent = np.concatenate(
-                    [direction, tangent[:, 3:] * (-1 if mirrored else 1)], axis=1, dtype=np.float32
-                )
-            if mirrored:
-                index = index[:, ::-1]  # front faces stay counter-clockwise
-        keep = np.isfinite(position[index]).all((1, 2)) if id(mesh) in self.deforming else solid(position, index)
-        self.dropped += int(len(index) - keep.sum())
-        if to_mesh is not None and not keep.all():
-            with np.errstate(invalid="ignore", over="ignore"):
-                own = piece.position.astype(np.float64) @ to_mesh[:3, :3].T
-            self.flattened_away += int(solid(own, index[~keep]).sum())
+        primitive = mesh.primitives[k]
+        assert isinstance(primitive, Triangles)
+        piece = pieces.triangles(primitive, to_mesh, self.with_attributes, deforms=id(mesh) in self.deforming)
+        self.dropped += piece.dropped
+        self.flattened_away += piece.flattened_away
         before = sum(len(p.index) if isinstance(p, Triangles) else 1 for p in mesh.primitives[:k])
-        self.sources.append(np.flatnonzero(keep).astype(np.uint32) + np.uint32(before))
-        if not keep.all():
-            index = index[keep]
-            finite = np.isfinite(position).all(1, keepdims=True)
-            position = np.where(finite, position, 0)
-        count = len(position)
-        uv0 = _sane(piece.uv0) if piece.uv0 is not None else np.zeros((count, 2), np.float32)
-        self.vertices.append(np.column_stack([position, uv0[:, :1], normal, uv0[:, 1:]]).astype(np.float32))
+        return self._append(piece, geometry, before)
+
+    def _append(self, piece: pieces.Piece, geometry: int, before: int = 0) -> tuple[int, int]:
+        """Its rows of triangles. before: triangles of the mesh in front of it."""
+        self.sources.append(piece.source + np.uint32(before))
+        self.vertices.append(piece.vertices)
+        count = len(piece.vertices)
         if self.with_tangents:
-            self.tangents.append(tangent if tangent is not None else np.zeros((count, 4), np.float32))
+            self.tangents.append(piece.tangents if piece.tangents is not None else np.zeros((count, 4), np.float32))
         if self.with_attributes:
-            self.attributes.append(_pack_attributes(piece, count))
-        rows = np.empty((len(index), 4), np.uint32)
-        rows[:, :3] = index + np.uint32(self.vertex_count)
+            packed = piece.attributes if piece.attributes is not None else pieces.pack_attributes(None, count)
+            self.attributes.append(packed)
+        rows = np.empty((len(piece.index), 4), np.uint32)
+        rows[:, :3] = piece.index + np.uint32(self.vertex_count)
         rows[:, 3] = geometry
         self.triangles.append(rows)
         self.vertex_count += count
@@ -218,16 +195,9 @@ class _Builder:
         return first, len(rows)
 
     def add_sphere(self, geometry: int, centre: F64, radius: float) -> tuple[int, int, F32]:
-        self.vertices.append(np.array([[*centre, 0, radius, 0, 0, 0]], np.float32))
-        if self.with_tangents:
-            self.tangents.append(np.zeros((1, 4), np.float32))
-        if self.with_attributes:
-            self.attributes.append(_pack_attributes(None, 1))
-        self.triangles.append(np.array([[self.vertex_count] * 3 + [geometry]], np.uint32))
-        self.sources.append(np.zeros(1, np.uint32))
-        self.vertex_count += 1
-        self.triangle_count += 1
-        return self.triangle_count - 1, geometry, np.array([*centre, radius], np.float32)
+        """Appends a sphere: one vertex, one row of triangles. Returns what MeshData.spheres holds of it."""
+        row, _ = self._append(pieces.sphere(centre, radius), geometry)
+        return row, geometry, np.array([*centre, radius], np.float32)
 
     def placed(self) -> list[tuple[int, Instance]]:
         """Instances with their numbers. Those that are squashed flat, or too small or large to trace, are dropped."""
@@ -361,41 +331,8 @@ def draw_state(material: Material) -> tuple[int, int]:
     return any_hit(material), int(not material.double_sided)
 
 
-def solid(position: F32 | F64, index: U32) -> np.ndarray:
-    """(T,) bool: triangles whose vertices are finite and whose area does not vanish in products of float32 lengths."""
-    corner = position[index].astype(np.float64)
-    with np.errstate(invalid="ignore", over="ignore"):
-        normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    return np.asarray(np.isfinite(corner).all((1, 2)) & (np.abs(normal) > SMALLEST_AREA).any(1))
-
-
 def _own_materials(mesh: Mesh) -> tuple[int, ...]:
     return tuple(p.material for p in mesh.primitives)
-
-
-def _unit(v: F32) -> F32:
-    """(V, 3) made unit; zero, for which shaders have a fallback, where a vector is not finite or has no length."""
-    with np.errstate(invalid="ignore", over="ignore", under="ignore"):
-        length = np.linalg.norm(v, axis=1, keepdims=True)
-    return np.divide(v, length, out=np.zeros_like(v), where=(length > 0) & np.isfinite(length))
-
-
-def _sane(values: F32) -> F32:
-    """Texture coordinates, with zero for what is not finite or so large (2^24) that float32 holds no fraction of it."""
-    fine = np.abs(values) < 2.0**24  # False for NaN
-    return values if fine.all() else np.where(fine, values, np.float32(0))
-
-
-def _pack_attributes(piece: Triangles | None, count: int) -> U32:
-    packed = np.zeros((count, 4), np.uint32)
-    color = np.ones((count, 4), np.float16)
-    if piece is not None:
-        if piece.uv1 is not None:
-            packed[:, :2] = np.ascontiguousarray(_sane(piece.uv1), np.float32).view(np.uint32)
-        if piece.color is not None:
-            color = np.clip(np.nan_to_num(piece.color, nan=1.0), 0, 65504).astype(np.float16)
-    packed[:, 2:] = np.ascontiguousarray(color).view(np.uint32)
-    return packed
 
 
 def _stack(parts: list[np.ndarray], width: int, kind: type) -> np.ndarray:

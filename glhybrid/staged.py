@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from glhybrid import aside, deform, geometry, layout, motion, outputs, plan, probe_capture
+from glhybrid import aside, deform, geometry, layout, motion, outputs, pass_aovs, plan, probe_capture
 from glhybrid.context import Context
 from glhybrid.frame import Passes
 from glhybrid.frame_constants import FrameConstants
 from glhybrid.gpu_scene import GpuScene, check_room
-from glhybrid.image import AOVS
 from glhybrid.mover import Mover
 from glhybrid.needs import Features
 from glhybrid.passes.aov import Aov
@@ -41,12 +40,6 @@ OF_SURFACES = (
     "occlusion", "reflections", "mirror_rays", "mirror_hits", "march", "glossy", "probes", "probes_blurred", "denoise",
     "denoise_shadows", "denoise_occlusion", "visibility", "shadow_maps", "shadow_rays", "shadow_bits", "lightmap",
 )  # features that a scene without any does not need  # fmt: skip
-# AOVs that passes make as they go: the image, its first channel and how many, and the value where no pass runs.
-OF_PASSES = {
-    "visibility": ("", 0, 0, 1), "occlusion": ("occlusion", 0, 1, 1), "reflection": ("reflection", 0, 3, 0),
-    "reflection_hit": ("reflection", 3, 1, 0), "reason": ("reason", 0, 1, 0),
-    "reason_shadows": ("reason_shadows", 0, 1, 0), "reason_ao": ("reason_ao", 0, 1, 0),
-}  # fmt: skip
 
 
 class Staged:
@@ -356,29 +349,9 @@ class Staged:
             self._ids = self.passes.gbuffer.run(self.targets)
             self.passes.light(self.targets, self._ids, lambda _, work: work())
             self.cut()
-        if name in OF_PASSES:
-            return self._of_pass(name)
+        if name in pass_aovs.NAMES:
+            return pass_aovs.reading(name, self, self._ids)
         return self._aov.run(self.targets, self._ids, name, view.origin)
-
-    def _of_pass(self, name: str) -> Reading[np.ndarray]:
-        """One AOV of OF_PASSES."""
-        image, first, count, nothing = OF_PASSES[name]
-        shadow, occlusion, features = self.passes.shadow, self.passes.occlusion, self.features
-        makers: dict[str, Any] = {
-            "occlusion": occlusion, "reason_ao": occlusion if features.reason_ao else None,
-            "visibility": shadow, "reason_shadows": shadow if features.reason_shadows else None,
-        }  # fmt: skip
-        if makers.get(name, self.probe or self.passes.reflect) is None:
-            width, height = self.targets.size
-            shape = AOVS[name].shape(height, width, len(self.upload.lights))
-            return outputs.constant(np.full(shape, nothing, AOVS[name].dtype))
-        if name == "visibility" and shadow is not None:
-            return outputs.layers(self.targets.get(shadow.channel))
-        if self.probe is not None and name not in makers:
-            self.probe.run(self.targets, self._ids)
-        if name == "occlusion" and occlusion is not None:
-            image = occlusion.channel
-        return outputs.texels(self.targets.get(image), first, count)
 
     def release(self, keep_upload: bool = False) -> None:
         """Also of a staging that was given up half made."""

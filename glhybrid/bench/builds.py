@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from glhybrid import reference
-from glhybrid.bvh import build_blas
+from glhybrid.bvh import build_blas, textbook
 from glhybrid.scene import F32
 
 
@@ -15,7 +14,7 @@ from glhybrid.scene import F32
 class Build:
     """mtris_s: million triangles a CPU second, on one thread. wall_mtris_s: a second of the clock, on all of them.
 
-    ratio_sah_binned: cost of our tree, of its 16-bit boxes, to that of reference.binned_sah, which keeps float boxes.
+    ratio_sah_binned: cost of our tree, of its 16-bit boxes, to that of textbook.binned_sah, which keeps float boxes.
     """
 
     scene: str
@@ -41,9 +40,9 @@ def measure(name: str, corners: F32, repeats: int) -> Build:
         start = time.perf_counter()
         build_blas(corners)
         wall.append(time.perf_counter() - start)
-    textbook, _ = reference.binned_sah(corners)
+    plain, _ = textbook.binned_sah(corners)
     million = len(corners) / 1e6
     return Build(
         name, len(corners), million / float(np.median(cpu)), million / float(np.median(wall)),
-        tree.sah_cost, tree.sah_cost / textbook,
+        tree.sah_cost, tree.sah_cost / plain,
     )  # fmt: skip

@@ -4,7 +4,7 @@ Method: Wald 2007, "On fast Construction of SAH-based Bounding Volume Hierarchie
 pass over the fragments (see fragments.py), which are then partitioned in place, without a branch. Up to four fragments
 are not binned: the cheapest of all their subtrees and leaves is found by dynamic programming over subsets (Karras &
 Aila 2013, "Fast Parallel Construction of High-Quality Bounding Volume Hierarchies", section 4, for n = 4). Chosen over
-float boxes and an index array, which move three times the memory; reference.binned_sah is that control.
+float boxes and an index array, which move three times the memory; textbook.binned_sah is that control.
 """
 
 from concurrent.futures import ThreadPoolExecutor

@@ -4,29 +4,25 @@ The keys and their defaults are listed in scenes/README.md. Objects with equal s
 and become instances of it; a `material` replaces an instance's materials, never the mesh's, so the sharing holds.
 """
 
-import hashlib
 import itertools
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from glhybrid.errors import LoadError, unknown
-from glhybrid.load import patterns, sceneparts, shapes, sky
+from glhybrid.load import sceneparts, shapes, sky
 from glhybrid.load import study as study_table
 from glhybrid.load.require import ShapeError
-from glhybrid.load.tables import LIGHT, NOT_NEGATIVE, NOT_ZERO, PLACE, UNIT, Table, between, parse
+from glhybrid.load.tables import LIGHT, NOT_NEGATIVE, PLACE, UNIT, Table, between, parse
+from glhybrid.load.textures import Files, Textures
 from glhybrid.scene import (
     F32,
     F64,
-    SRGB_SLOTS,
-    TEXTURE_SLOTS,
     Animation,
     Camera,
     Channel,
     Environment,
-    Image,
     Instance,
     Light,
     Material,
@@ -35,7 +31,6 @@ from glhybrid.scene import (
     Scene,
     Skin,
     Sphere,
-    Texture,
     Triangles,
 )
 
@@ -58,10 +53,9 @@ class _Builder:
     """Reads the tables in order of dependence and collects the parts of the scene."""
 
     def __init__(self, path: Path, text: bytes, strict: bool, allow_outside: bool) -> None:
-        self.path, self.strict, self.allow_outside = path, strict, allow_outside
-        self.root = parse(text, path)
-        self.digest = hashlib.sha256(text)
-        self.folder = path.parent.resolve()
+        self.path, self.strict, self.root = path, strict, parse(text, path)
+        self.files = Files(path, text, allow_outside)
+        self.textures = Textures(self.files)
         self.meshes: list[Mesh] = []
         self.instances: list[Instance] = []
         self.materials: list[Material] = []
@@ -71,8 +65,6 @@ class _Builder:
         self.nodes: list[Node] = []
         self.skins: list[Skin] = []
         self.clips: dict[tuple[Path, int], tuple[str, list[Channel]]] = {}
-        self.warnings: dict[str, None] = {}
-        self.images: dict[object, Image] = {}
         self.shape_meshes: dict[str, int] = {}
         self.models: dict[tuple[Path, bool], tuple[Scene, int, int]] = {}
 
@@ -104,20 +96,10 @@ class _Builder:
             skins=tuple(self.skins),
             animations=tuple(Animation(name, tuple(channels)) for name, channels in self.clips.values()),
             path=self.path,
-            sha256=self.digest.hexdigest(),
-            warnings=tuple(self.warnings),
+            sha256=self.files.digest.hexdigest(),
+            warnings=tuple(self.files.warnings),
             study=described,
         )
-
-    def _file(self, table: Table, key: str) -> Path:
-        """The existing file that a key names, relative to the scene file."""
-        name = table.string(key, "")
-        path = (self.folder / name).resolve()
-        if not self.allow_outside and not path.is_relative_to(self.folder):
-            table.fail("lies outside the scene file's folder; move it there or use --allow-outside", key)
-        if not path.is_file():
-            table.fail(f"there is no file {path}" if not path.exists() else "is not a file", key)
-        return path
 
     # Environment ---------------------------------------------------------------------------------------------------
 
@@ -131,10 +113,11 @@ class _Builder:
         if kinds == ["file"]:
             from glhybrid.load.environment import read_environment
 
-            path = self._file(table, "file")
+            path = self.files.find(table, "file")
             radiance, warnings = read_environment(path)
-            self.warnings.update(dict.fromkeys(warnings))
-            self.digest.update(hashlib.sha256(path.read_bytes()).digest())
+            for warning in warnings:
+                self.files.warn(warning)
+            self.files.count(path)
             name = path.name
         elif kinds == ["constant"]:
             radiance = np.array(table.vector("constant", (0, 0, 0), LIGHT), np.float32).reshape(1, 1, 3)
@@ -185,66 +168,11 @@ class _Builder:
             normal_scale=table.number("normal_scale", plain.normal_scale),
             clearcoat_normal_scale=table.number("clearcoat_normal_scale", plain.clearcoat_normal_scale),
             **{key: table.number(key, getattr(plain, key), UNIT) for key in _UNIT_KEYS},
-            textures=self._textures(table),
+            textures=self.textures.read(table),
         )
         table.finish()
         self.material_index[name] = len(self.materials)
         self.materials.append(made)
-
-    def _textures(self, parent: Table) -> dict[str, Texture]:
-        slots = parent.table("textures")
-        if slots is None:
-            return {}
-        made = {slot: self._texture(slots, slot) for slot in TEXTURE_SLOTS if slot in slots}
-        slots.finish()
-        return made
-
-    def _texture(self, slots: Table, slot: str) -> Texture:
-        """A file name, or a table with `file` or `pattern` and how it lies on the surface."""
-        if isinstance(slots.raw(slot), str):
-            return Texture(self._image(slots, slot))
-        table = slots.table(slot)
-        assert table is not None
-        if ("file" in table) == ("pattern" in table):
-            table.fail("needs either file or pattern")
-        repeat = table.vector("repeat", (1.0, 1.0), NOT_ZERO)
-        offset = table.vector("offset", (0.0, 0.0))
-        turn = np.radians(table.number("rotate_deg", 0.0))
-        uv_set = table.integer("uv_set", 0, 0, 1)
-        wrap: Any = table.string("wrap", "repeat", ("repeat", "clamp", "mirror"))
-        nearest = table.boolean("nearest", False)
-        if "file" in table:
-            image = self._image(table, "file")
-        else:
-            image = self._pattern(table, slot)
-        table.finish()
-        c, s = np.cos(turn), np.sin(turn)  # KHR_texture_transform: offset, then rotation, then scale
-        transform = np.array([[c * repeat[0], s * repeat[1], offset[0]], [-s * repeat[0], c * repeat[1], offset[1]]])
-        plain = np.array_equal(transform, np.eye(3)[:2])
-        return Texture(image, uv_set, None if plain else transform, wrap, wrap, nearest)
-
-    def _image(self, table: Table, key: str) -> Image:
-        from glhybrid.load.images import load_image
-
-        path = self._file(table, key)
-        if path not in self.images:
-            self.images[path] = load_image(path, str(path), lambda m: self._warn(f"{path.name}: {m}"))
-            self.digest.update(hashlib.sha256(path.read_bytes()).digest())
-        return self.images[path]
-
-    def _pattern(self, table: Table, slot: str) -> Image:
-        name = table.string("pattern", "")
-        if name not in patterns.PATTERNS:
-            table.fail(unknown("pattern", name, patterns.PATTERNS))
-        given = sceneparts.parameters(table, patterns.parameters(name))
-        way = "normal" if slot.endswith("normal") else "color" if slot in SRGB_SLOTS else "data"
-        key = f"{name} {sorted(given.items())} {way}"
-        if key not in self.images:
-            try:
-                self.images[key] = patterns.pattern(name, slot, **given)
-            except ShapeError as error:
-                table.fail(str(error))
-        return self.images[key]
 
     # Objects -------------------------------------------------------------------------------------------------------
 
@@ -266,7 +194,7 @@ class _Builder:
                 self.instances.append(Instance(mesh, _shifted(world, place), name or kind, materials))
             return
         smooth = table.boolean("smooth", False)
-        path = self._file(table, "file")
+        path = self.files.find(table, "file")
         table.finish()
         model, first_mesh, first_material = self._model(path, smooth, table)
         for place in places:
@@ -326,14 +254,14 @@ class _Builder:
         if path.suffix.lower() == ".toml":
             table.fail("a scene file inside a scene file is not supported", "file")
         if (path, smooth) not in self.models:
-            model = read_model(path, strict=self.strict, allow_outside=self.allow_outside, smooth=smooth)
+            model = read_model(path, strict=self.strict, allow_outside=self.files.allow_outside, smooth=smooth)
             self.models[path, smooth] = model, len(self.meshes), len(self.materials)
             own = len(self.materials)
             self.meshes += [_with_materials_from(mesh, own) for mesh in model.meshes]
             self.materials += model.materials
-            self.digest.update(model.sha256.encode())
+            self.files.digest.update(model.sha256.encode())
             for warning in model.warnings:
-                self._warn(f"{path.name}: {warning}")
+                self.files.warn(f"{path.name}: {warning}")
         return self.models[path, smooth]
 
     def _place(
@@ -380,16 +308,13 @@ class _Builder:
             if isinstance(part, Sphere) or not textures:
                 continue
             if any((part.uv0 if t.uv_set == 0 else part.uv1) is None for t in textures.values()):
-                self._warn(
+                self.files.warn(
                     f'{table.where}: mesh "{self.meshes[mesh].name}" has no UVs: the material\'s textures are flat'
                 )
             normal = textures.get("normal") or textures.get("clearcoat_normal")
             if normal and part.tangent is None:
                 parts[i] = with_tangents(part, normal.uv_set, normal.uv_transform)
         self.meshes[mesh] = replace(self.meshes[mesh], primitives=tuple(parts))
-
-    def _warn(self, message: str) -> None:
-        self.warnings[message] = None
 
 
 _UNIT_KEYS = (

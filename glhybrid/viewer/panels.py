@@ -1,6 +1,7 @@
 """The panel: every choice of a session as a widget. Widgets only read and write the session, or name an action."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from glhybrid import techniques
 from glhybrid.image import AOVS
 from glhybrid.settings import TONE_MAPS, Settings
-from glhybrid.viewer import camera_control
+from glhybrid.viewer import camera_control, transport_bar
 from glhybrid.viewer.controls import Controls, implemented
 from glhybrid.viewer.gui import Gui
 from glhybrid.viewer.pictures import Pictures
@@ -16,7 +17,7 @@ from glhybrid.viewer.session import MODES, Mode, Session
 from glhybrid.viewer.store import Bookmarks
 from glhybrid.viewer.views import PICTURE
 
-WIDTH, BAR = 330, 46
+WIDTH = 330
 TITLES: dict[Mode, str] = {"single": "One", "split": "Split", "difference": "Difference", "flip": "FLIP"}
 
 
@@ -39,7 +40,7 @@ class Panels:
         """All of it, for this frame. size: of the surface, pixels."""
         imgui = self._gui.imgui
         if self._session.scene.animations:
-            self._transport(size)
+            transport_bar.draw(self._gui, self._session, self._controls, (size[0] - self.width, size[1]), self._scale)
         if not self._session.panel:
             return
         flags = imgui.WindowFlags_
@@ -355,8 +356,6 @@ class Panels:
             if session.pose.fov:
                 changed, fov = imgui.slider_float("field of view", session.pose.fov, 5.0, 150.0, "%.1f deg")
                 if changed:
-                    from dataclasses import replace
-
                     session.move_to(replace(session.pose, fov=round(fov, 2)))
         for name, pose in self._bookmarks.of(session.source):
             imgui.push_id(name)
@@ -369,38 +368,6 @@ class Panels:
         away = camera_control.distance(session.pose) if session.pose is not None else 0.0
         if away:
             imgui.text_disabled(f"{away:.4g} m to what it turns about; flying speed x {self._controls.speed:.2g}")
-
-    def _transport(self, size: tuple[int, int]) -> None:
-        imgui, session, s = self._gui.imgui, self._session, self._scale
-        transport, wide = session.transport, size[0] - self.width
-        flags = imgui.WindowFlags_
-        imgui.set_next_window_pos((0, size[1] - BAR * s))
-        imgui.set_next_window_size((wide, BAR * s))
-        imgui.set_next_window_bg_alpha(0.85)
-        imgui.begin("transport", None, flags.no_decoration | flags.no_move | flags.no_saved_settings)
-        if imgui.button("Pause" if transport.playing else "Play", (58 * s, 0)):
-            self._controls.play()
-        imgui.same_line()
-        clips = ["at rest", *(a.name or f"clip {i}" for i, a in enumerate(session.scene.animations))]
-        imgui.set_next_item_width(150 * s)
-        changed, index = imgui.combo("##clip", transport.clip + 1, clips)
-        if changed:
-            transport.choose(session.scene, index - 1)
-            session.edited()
-        imgui.same_line()
-        imgui.set_next_item_width(max(wide - 470 * s, 60 * s))
-        text = f"%.3f of {transport.end:.2f} s"
-        changed, time = imgui.slider_float("##time", transport.time, 0.0, max(transport.end, 1e-3), text)
-        if changed and transport.clip >= 0:
-            transport.seek(time)
-        imgui.same_line()
-        imgui.set_next_item_width(80 * s)
-        curve = imgui.SliderFlags_.logarithmic
-        changed, speed = imgui.slider_float("##speed", transport.speed, 0.1, 4.0, "%.2f x", curve)
-        transport.speed = speed if changed else transport.speed
-        imgui.same_line()
-        transport.loop = imgui.checkbox("loop", transport.loop)[1]
-        imgui.end()
 
 
 def _count(number: int, what: str) -> str:

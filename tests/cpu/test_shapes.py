@@ -125,7 +125,7 @@ def test_blades_are_a_fan_from_the_origin() -> None:
 
 
 def test_debris_is_nothing_that_can_be_seen() -> None:
-    from glhybrid.geometry import solid
+    from glhybrid.pieces import solid
 
     made = make("debris", number=400, size=2.0)
     corners = made.position.reshape(-1, 3, 3)
