@@ -18,6 +18,7 @@ from collections.abc import Callable, Hashable, Mapping
 from ctypes import c_uint, c_uint64
 from dataclasses import dataclass, field
 from typing import TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,9 @@ from glhybrid.timing import T, Timing
 
 WARM_UP_S = 0.5  # of unpaced work: an H100 needs 0.29 s to reach its clock
 QUEUED_S = 0.1  # of work between two ends: enough not to let the clock fall
+HOT_S = 0.25  # after unpaced work, a GPU still has its clock
 LAUNCHES_AT_ONCE = 4  # between two looks at the time during warm-up
+_worked: "WeakKeyDictionary[Context, float]" = WeakKeyDictionary()  # when unpaced work ended
 K = TypeVar("K", bound=Hashable)
 Work = Callable[[], object]
 
@@ -79,7 +82,11 @@ def on_cpu(works: Mapping[K, Work], repeats: int, finish: Work = lambda: None) -
 
 def warm_up(context: Context, work: Work, seconds: float = WARM_UP_S) -> float:
     """Seconds a launch. Works until a GPU has reached its clock, with QUEUED_S queued at most; once in software."""
-    launches, until = 1, time.perf_counter() + seconds
+    started = time.perf_counter()
+    launches, until = (
+        1,
+        started + (min(seconds, QUEUED_S) if started - _worked.get(context, -math.inf) < HOT_S else seconds),
+    )
     while True:
         started = time.perf_counter()
         for _ in range(launches):
@@ -104,6 +111,7 @@ def unpaced(
     while True:
         spent, batches = time.perf_counter() - started, len(sample.wall)
         if (batches * batch >= least and spent >= seconds) or (batches >= 2 and spent >= most_s):
+            _worked[context] = time.perf_counter()
             return sample
         wall, cpu = time.perf_counter(), time.process_time()
         for _ in range(batch):

@@ -13,13 +13,25 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import IO, Any
 
+from glhybrid.bvh.blas import threads_available
 from glhybrid.errors import GlhybridError
 from glhybrid.image import Frame
 from glhybrid.scene import F32
 from glhybrid.study.measure import Truth, compared
 
-MOST = 6  # processes: each holds the truth, and a picture
+FREE = 2  # threads left to this process and the driver
+BYTES_A_PIXEL = 600  # of memory: 200 by FLIP, the rest by the truth and pictures
 COMMAND = "from glhybrid.study.comparing import serve; serve()"
+
+
+def processes(size: tuple[int, int]) -> int:
+    """How many may compare pictures of a size in pixels: a thread each, in half of the memory that is free."""
+    try:
+        free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (ValueError, OSError):
+        free = 1 << 32
+    room = free // 2 // (BYTES_A_PIXEL * size[0] * size[1] + (100 << 20))  # 100 MiB: Python and NumPy
+    return int(max(min(threads_available() - FREE, room), 0))
 
 
 class Comparing:

@@ -21,6 +21,7 @@ from glhybrid.study.progress import Meter
 
 QUICK_SIZE, SIZE = (120, 90), (240, 180)
 MOTION_FRAMES = 6
+GHOST = "ghost"
 LEFT = 0.05
 LEAVE_FRAME, WATCHED = 8, 40  # of the ghost: when the box goes, and how long its trace is followed
 Size = tuple[int, int]
@@ -136,14 +137,22 @@ Note = Callable[[str], None]
 
 def run(renderer: Renderer, folder: Path, quick: bool, meter: Meter, note: Note) -> list[dict[str, Any]]:
     """Every curve, kept in `folder` as it is finished; last the trace of what is gone."""
-    size = QUICK_SIZE if quick else SIZE
-    found = [_one(renderer, curve, size, quick, folder, meter, note) for curve in CURVES]
-    found.append(_ghosts(renderer, size, folder, meter, note))
+    found = [make(renderer, name, folder, quick, meter, note) for name in names()]
     return [curve for curve in found if curve is not None]
 
 
-def size_of_work() -> int:
-    return len(CURVES) + 1
+def names() -> list[str]:
+    """Of all curves, that of what is gone last."""
+    return [curve.name for curve in CURVES] + [GHOST]
+
+
+def make(renderer: Renderer, name: str, folder: Path, quick: bool, meter: Meter, note: Note) -> dict[str, Any] | None:
+    """One curve, kept in `folder`; None where no technique has it."""
+    size = QUICK_SIZE if quick else SIZE
+    if name == GHOST:
+        return _ghosts(renderer, size, folder, meter, note)
+    curve = next(curve for curve in CURVES if curve.name == name)
+    return _one(renderer, curve, size, quick, folder, meter, note)
 
 
 def _chosen(curve: Curve) -> list[techniques.Technique]:
@@ -207,7 +216,7 @@ def _ghosts(renderer: Renderer, size: tuple[int, int], folder: Path, meter: Mete
     meter.begin("stability: what is gone")
     chosen = [t for kind in techniques.TECHNIQUES for t in sweep.contestants(kind) if t.stochastic]
     key = _key(renderer, size, chosen)
-    path = folder / "ghost.json"
+    path = folder / f"{GHOST}.json"
     if (kept := _kept(path, key, meter)) is not None:
         return kept
     lines = []
@@ -223,7 +232,7 @@ def _ghosts(renderer: Renderer, size: tuple[int, int], folder: Path, meter: Mete
         return None
     lives = ", ".join(f"{e['technique']} {'never' if e['half_life'] is None else e['half_life']}" for e in lines)
     result = {
-        "name": "ghost", "title": "What is gone", "parameter": "frames after a box has gone",
+        "name": GHOST, "title": "What is gone", "parameter": "frames after a box has gone",
         "measure": "share of it that is left", "values": list(range(WATCHED)), "log": False, "bar": LEFT,
         "about": f"Frames until at most {100 * LEFT:g} % of it is left: {lives}.", "size": list(size), "lines": lines,
     }  # fmt: skip

@@ -78,11 +78,13 @@ def draw(renderer: Renderer, scene: Scene, camera: Camera, size: tuple[int, int]
 @dataclass(frozen=True, eq=False)
 class Truth:
     """What pictures of a scene are held against. radiance (H, W, 3): the reference; light: None where there is none;
-    specular (H, W): the share of a pixel's reflectance that is specular, 0 to 1."""
+    specular (H, W): the share of a pixel's reflectance that is specular, 0 to 1; all_light: what bias is told against,
+    default the reference's own."""
 
     radiance: F32
     light: Direct | None
     specular: F32
+    all_light: picture.AllLight | None = None
 
 
 def film(
@@ -112,7 +114,7 @@ def compared(frame: Frame, truth: Truth, folder: Path, stem: str, at_rest: F32 |
 
 def figures(frame: Frame, truth: Truth) -> tuple[dict[str, Any], F32]:
     """Errors of a picture, and its FLIP map."""
-    difference, flip = picture.compare(frame["radiance"], truth.radiance)
+    difference, flip = picture.compare(frame["radiance"], truth.radiance, truth.all_light)
     row: dict[str, Any] = difference.to_dict()
     row["flip_reflection"] = picture.weighted_mean(flip, truth.specular)
     row |= shadow_figures(frame["visibility"], truth.light)

@@ -23,15 +23,31 @@ MIDDLE_GREY = 0.18
 
 
 @dataclass(frozen=True)
+class AllLight:
+    """mean: luminance over pixels, of all paths, those that make specks too. error: its standard deviation."""
+
+    mean: float
+    error: float
+
+    def bias(self, got: float) -> tuple[float, float]:
+        """By how many per cent a mean luminance is off, and the standard deviation of that, of the truth's noise."""
+        if self.mean <= 0:
+            return 0.0, 0.0
+        return 100 * (got / self.mean - 1), 100 * got / self.mean * self.error / self.mean
+
+
+@dataclass(frozen=True)
 class Difference:
     """flip: mean HDR-FLIP, 0 to 1. rel_mse: mean e^2 / (ref^2 + 0.01 mean^2). psnr: dB, of sRGB-encoded values at an
-    exposure that brings the reference to middle grey; ssim: of their luma. bias_percent: of mean luminance."""
+    exposure that brings the reference to middle grey; ssim: of their luma. bias_percent: of mean luminance, against all
+    light; bias_error_percent: its standard deviation, of the reference's noise."""
 
     flip: float
     rel_mse: float
     psnr: float
     ssim: float
     bias_percent: float
+    bias_error_percent: float
 
     to_dict = asdict
 
@@ -44,20 +60,22 @@ def require_flip() -> None:
         )
 
 
-def compare(got: F32, want: F32) -> tuple[Difference, F32]:
-    """The figures, and the FLIP map (H, W), 0 to 1."""
+def compare(got: F32, want: F32, light: AllLight | None = None) -> tuple[Difference, F32]:
+    """The figures, and the FLIP map (H, W), 0 to 1. light: what bias is told against, where `want` leaves some out."""
     assert got.shape == want.shape and got.ndim == 3, (got.shape, want.shape)
     error_map = flip_map(got, want)
     a, b = got.astype(np.float64), want.astype(np.float64)
     mean = float((b @ LUMINANCE).mean())
     ya, yb = encoded(a, mean), encoded(b, mean)
     mse = float(((ya - yb) ** 2).mean())
+    bias, bias_error = (light or AllLight(mean, 0.0)).bias(float((a @ LUMINANCE).mean()))
     difference = Difference(
         flip=float(error_map.mean()),
         rel_mse=rel_mse(a, b),
         psnr=float(-10 * np.log10(mse)) if mse > 0 else float("inf"),
         ssim=ssim(ya @ LUMINANCE, yb @ LUMINANCE),
-        bias_percent=100 * (float((a @ LUMINANCE).mean()) / mean - 1) if mean > 0 else 0.0,
+        bias_percent=bias,
+        bias_error_percent=bias_error,
     )
     return difference, error_map
 

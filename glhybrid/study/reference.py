@@ -1,6 +1,7 @@
 """The converged picture that all techniques are held against, and how noisy it still is.
 
-PARTS independent pictures are put together by pixel (robust.py). Each half of them, put together alike, is a picture of
+PARTS independent pictures are put together by pixel (robust.py), and leave out specks. What is a sum of light, bias, is
+told against the plain mean of all paths. Each half of the parts, put together alike, is a picture of
 its own: half the difference of the two is the standard deviation of the whole, so the reference says how small an error
 it can tell. That is watched in FLIP: relative MSE may hang on a few paths that found a sun in a mirror's mirror.
 It is kept on disk by content and goes on from where it was.
@@ -13,11 +14,12 @@ import math
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from glhybrid.image import replacing
 from glhybrid.jit import cache_dir
@@ -29,6 +31,7 @@ from glhybrid.study.robust import mean_of_means
 
 log = logging.getLogger("glhybrid")
 Progress = Callable[[str, int, int], None]
+Mask = NDArray[np.bool_]
 PARTS = 16
 BATCH, LARGEST_BATCH = 4, 64  # paths a pixel of a part, before all are looked at: they double
 LOOK_SHARE = 4.0  # times as long as a look at its noise takes it is worked on before the next
@@ -40,11 +43,12 @@ LEAST = 64  # paths a pixel, whatever the time: fewer tell nothing apart
 class Reference:
     """radiance: (H, W, 3) float32. noise_*: the error that its own noise is expected to have, in the same measures.
 
-    left_out_percent: of all light, what so few paths found that it is in no pixel. complete: whether the target was
-    reached, not the limit of paths or time.
+    light: of all paths, over the pixels asked for. left_out_percent: of all light, what so few paths found that it is
+    in no pixel. complete: whether the target was reached, not the limit of paths or time.
     """
 
     radiance: F32
+    light: picture.AllLight
     samples: int
     bounces: int
     noise_rel_mse: float
@@ -58,7 +62,15 @@ class Reference:
         names = (
             "samples", "bounces", "noise_rel_mse", "noise_flip", "left_out_percent", "seconds", "complete", "key",
         )  # fmt: skip
-        return {name: getattr(self, name) for name in names}
+        light = {"mean_luminance": self.light.mean, "mean_luminance_error": self.light.error}
+        return {name: getattr(self, name) for name in names} | light
+
+    @staticmethod
+    def from_dict(radiance: F32, kept: dict[str, Any]) -> "Reference":
+        """What to_dict() has told of it. Raises KeyError where that was of another version."""
+        light = picture.AllLight(kept["mean_luminance"], kept["mean_luminance_error"])
+        names = [f.name for f in fields(Reference) if f.name not in ("radiance", "light")]
+        return Reference(radiance, light, **{name: kept[name] for name in names})
 
 
 def content_key(scene: Scene, camera: Camera, size: tuple[int, int], bounces: int) -> str:
@@ -80,9 +92,11 @@ def converge(
     budget_s: float = math.inf,
     progress: Progress | None = None,
     folder: Path | None = None,
+    counted: Mask | None = None,
 ) -> Reference:
     """Averages paths until the FLIP of its noise is at most `target`, or `most` paths a pixel, or the time.
 
+    counted: (H, W), the pixels that `light` is of; default all.
     folder: where it is kept; default `reference` in the cache folder, nowhere with GLHYBRID_CACHE=off. What was there
     is gone on from. budget_s counts this call alone, after its first batches.
     """
@@ -131,7 +145,7 @@ def converge(
         parts.write(path)
     whole, off = parts.pictures()
     return Reference(
-        whole.astype(np.float32), parts.samples, bounces, picture.rel_mse(off, whole), noise,
+        whole.astype(np.float32), parts.light(counted), parts.samples, bounces, picture.rel_mse(off, whole), noise,
         parts.left_out_percent(whole), parts.seconds, noise <= target, key,
     )  # fmt: skip
 
@@ -169,8 +183,19 @@ class _Parts:
         whole, off = self.pictures()
         return float(picture.flip_map(off.astype(np.float32), whole.astype(np.float32)).mean())
 
+    def light(self, counted: Mask | None = None) -> picture.AllLight:
+        """The plain mean; parts are independent, so their spread tells how sure it is."""
+        where = slice(None) if counted is None else counted
+        means = [
+            float((part[where].mean((0, 1) if counted is None else 0, dtype=np.float64)) @ picture.LUMINANCE)
+            for part in self.sums
+        ]
+        return picture.AllLight(
+            float(np.mean(means)) / self.count, float(np.std(means, ddof=1)) / self.count / PARTS**0.5
+        )
+
     def left_out_percent(self, whole: Any) -> float:
-        all_light = float((self.sums.sum(0, dtype=np.float64) @ picture.LUMINANCE).mean()) / self.samples
+        all_light = self.light().mean
         return 100 * (1 - float((whole @ picture.LUMINANCE).mean()) / all_light) if all_light > 0 else 0.0
 
     def write(self, path: Path) -> None:

@@ -1,7 +1,9 @@
 """What a study found, the fronts in it, and the files made of it."""
 
 import statistics
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,8 @@ ERRORS = {"shadows": "flip_shadow", "reflections": "flip_reflection"}  # what te
 @dataclass
 class Study:
     """What was found: `machine`, `rows` and `failures` as results.json has them; scenes: by name, what rows have in
-    common; curves, peers, paper: further parts; notes: what was left out, and why."""
+    common; curves, peers, paper: further parts; seconds: wall time of each part in this run; notes: what was left out,
+    and why."""
 
     machine: dict[str, Any]
     rows: list[dict[str, Any]] = field(default_factory=list)
@@ -25,14 +28,24 @@ class Study:
     curves: list[dict[str, Any]] = field(default_factory=list)
     peers: list[dict[str, Any]] = field(default_factory=list)
     paper: dict[str, Any] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
     def note(self, text: str) -> None:
         if text not in self.notes:
             self.notes.append(text)
 
+    @contextmanager
+    def timed(self, part: str) -> Iterator[None]:
+        """What is done within counts for that part."""
+        started = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[part] = self.seconds.get(part, 0.0) + time.perf_counter() - started
+
     def to_dict(self) -> dict[str, Any]:
-        names = ("machine", "rows", "failures", "scenes", "curves", "peers", "paper", "notes")
+        names = ("machine", "rows", "failures", "scenes", "curves", "peers", "paper", "seconds", "notes")
         return {name: getattr(self, name) for name in names}
 
 

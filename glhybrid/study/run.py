@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from glhybrid import techniques
+from glhybrid.bvh.blas import threads_available
 from glhybrid.image import Frame
 from glhybrid.renderer import Renderer
 from glhybrid.scene import Scene
-from glhybrid.study import curves, picture, results, scene_study, store, sweep
+from glhybrid.study import beside, curves, picture, results, scene_study, store, sweep
+from glhybrid.study import failures as library
 from glhybrid.study import paper as papers
 from glhybrid.study.peers import panel
 from glhybrid.study.progress import Meter, Progress
@@ -26,6 +28,7 @@ SCENES = ("atrium", "plaza", "showroom")
 QUICK_SCENES = ("showroom", "atrium")
 PARTS = ("peers", "stability", "failures")  # what is done beside the scenes
 PAPER_PARTS = ("ladder",)
+UNTIMED: Mapping[str, Callable[[], list[str]]] = {beside.STABILITY: curves.names, beside.FAILURES: library.cases}
 FAILURE_CELLS = 20  # what the failure library counts for in the progress
 PEER_CELLS = 1.5  # and one other renderer on one scene
 
@@ -90,7 +93,7 @@ def run(
         costs = {
             "peers": PEER_CELLS * len(panel.NAMES) * len(work),
             "ladder": papers.LADDER_CELLS,
-            "stability": curves.size_of_work(),
+            "stability": len(curves.names()),
             "failures": FAILURE_CELLS,
         }
         meter.expect(sum(costs[part] for part in parts))
@@ -98,16 +101,18 @@ def run(
             for one in work:
                 one.run()
                 results.write(study, output)
+            _beside(study, device, software, output, quick, parts, costs, meter)
             for part in parts:
-                if part == "ladder":
-                    study.paper["ladder"] = papers.ladder(renderer, output / part, quick, spent.clock, meter)
-                    study.paper["printed"] = list(papers.PRINTED)
-                elif part == "peers":
-                    study.peers = _peers(renderer, [one.site() for one in work], quick, meter, study.note)
-                elif part == "stability":
-                    study.curves = curves.run(renderer, output / part, quick, meter, study.note)
-                elif part == "failures":
-                    study.failures = failures(renderer, output / part, meter, study.note)
+                with study.timed(part):
+                    if part == "ladder":
+                        study.paper["ladder"] = papers.ladder(renderer, output / part, quick, spent.clock, meter)
+                        study.paper["printed"] = list(papers.PRINTED)
+                    elif part == "peers":
+                        study.peers = _peers(renderer, [one.site() for one in work], quick, meter, study.note)
+                    elif part == "stability":
+                        study.curves = curves.run(renderer, output / part, quick, meter, study.note)
+                    elif part == "failures":
+                        study.failures = failures(renderer, output / part, meter, study.note)
                 results.write(study, output)
         except KeyboardInterrupt:
             results.write(study, output)
@@ -148,7 +153,6 @@ def _paper_axes(study: Study) -> Mapping[str, Sequence[Cell]]:
 
 def _machine(renderer: Renderer, sizes: Sequence[tuple[int, int]], command: str) -> dict[str, Any]:
     from glhybrid.bench.report import machine
-    from glhybrid.bvh.blas import threads_available
 
     return machine(
         renderer.context.device.to_dict(),
@@ -157,6 +161,22 @@ def _machine(renderer: Renderer, sizes: Sequence[tuple[int, int]], command: str)
         cores=threads_available(),
         command=command,
     )
+
+
+def _beside(
+    study: Study, device: str, software: bool, output: Path, quick: bool, parts: Sequence[str],
+    costs: Mapping[str, float], meter: Meter,
+) -> None:  # fmt: skip
+    """What is not timed, made ahead on all cores where a GPU draws; the parts then find it."""
+    jobs = [(part, name) for part, names in UNTIMED.items() if part in parts for name in names()]
+    processes = 0 if software else min(threads_available() - 2, beside.MOST)
+    if not jobs or processes < 2:
+        return
+    chosen = [part for part in UNTIMED if part in parts]
+    total = sum(costs[part] for part in chosen)
+    meter.begin(" and ".join(chosen))
+    with study.timed(f"{' and '.join(chosen)}, in {processes} processes"):
+        beside.make(device, output, quick, jobs, processes, lambda done: meter.part(total * done / len(jobs)))
 
 
 def _peers(
@@ -172,17 +192,19 @@ def _peers(
     return [row for row in rows if row is not None]
 
 
-def failures(renderer: Renderer, folder: Path, meter: Meter, note: Callable[[str], None]) -> list[dict[str, Any]]:
-    """The failure library's rows, case by case, each kept with its pictures as it is finished."""
-    from glhybrid.study import failures as library
-
-    names, rows = library.cases(), []
+def failures(
+    renderer: Renderer, folder: Path, meter: Meter, note: Callable[[str], None], names: Sequence[str] | None = None
+) -> list[dict[str, Any]]:
+    """The failure library's rows, case by case, each kept with its pictures as it is finished. names: default all."""
+    rows: list[dict[str, Any]] = []
+    names = library.cases() if names is None else names
     for name in names:
         meter.begin(f"failure library: {name}")
         case = library.load(name)
         key = store.fingerprint(store.code_digest(), case.scene.sha256, renderer.context.device.to_dict())
         path = folder / f"{name}.json"
         kept = store.read(path, key)
+        free = kept is not None
         if kept is None:
             found, images = [], {}
             for k, row in enumerate(library.run(renderer, [name], pictures=True)):
@@ -199,5 +221,5 @@ def failures(renderer: Renderer, folder: Path, meter: Meter, note: Callable[[str
                 note(f"failure {row['case']}: {row['because']}")
             else:
                 rows.append(row)
-        meter.end(FAILURE_CELLS / len(names))
+        meter.end(FAILURE_CELLS / len(names), free=free)
     return rows

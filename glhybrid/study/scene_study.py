@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from glhybrid.bvh.blas import threads_available
 from glhybrid.errors import GlhybridError, SettingError
 from glhybrid.image import replacing
 from glhybrid.renderer import Renderer
@@ -20,7 +19,7 @@ from glhybrid.settings import Settings
 from glhybrid.study import direct, measure, reflected, results, stability, store, sweep
 from glhybrid.study import paper as papers
 from glhybrid.study import reference as references
-from glhybrid.study.comparing import MOST, Comparing
+from glhybrid.study.comparing import Comparing, processes
 from glhybrid.study.develop import develop
 from glhybrid.study.measure import Clock, Truth
 from glhybrid.study.peers.panel import Site
@@ -59,9 +58,10 @@ def effort(
             256 if software else 2048, 30.0 if software else 10.0, 150.0, 2, 4,
         )  # fmt: skip
     else:
+        clock = Clock(5, 0.5, 4.0) if software else Clock(64, 0.25, 1.0)
         chosen = Effort(
-            (640, 360) if software else (1920, 1080), Clock(5 if software else 64, 0.5, 4.0 if software else 1.0), 64,
-            0.002, 1024 if software else 4096, math.inf if software else 60.0, math.inf, 8 if software else 16, 24,
+            (640, 360) if software else (1920, 1080), clock, 64, 0.002, 1024 if software else 4096,
+            math.inf if software else 60.0, math.inf, 8 if software else 16, 24,
         )  # fmt: skip
     if size is not None:
         if min(size) < SMALLEST:
@@ -95,13 +95,15 @@ class SceneStudy:
 
     def run(self) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
-        self.reference = self._reference()
+        with self.study.timed(f"{self.name}: reference"):
+            self.reference = self._reference()
         frame, self.exposure = develop(self.renderer, self.scene, self.camera, self.reference.radiance)
         frame.save(self.folder / "reference.png")
         frame.save(self.folder / "reference.exr", aov=())
         self._describe()
         try:
-            self._cells()
+            with self.study.timed(f"{self.name}: techniques"):
+                self._cells()
         except KeyboardInterrupt:
             self._settle()  # what was measured is compared yet, and kept; asked a second time, it is not
             raise
@@ -133,7 +135,7 @@ class SceneStudy:
         """What other renderers are given and held against, once it has run."""
         return Site(
             self.name, self.scene, self.camera, self.spent.size, self.reference.radiance,
-            f"{self.reference.key}-{self.reference.samples}", self.exposure, self.folder,
+            f"{self.reference.key}-{self.reference.samples}", self.exposure, self.folder, self.reference.light,
         )  # fmt: skip
 
     def _describe(self) -> None:
@@ -150,13 +152,13 @@ class SceneStudy:
         meter, spent = self.meter, self.spent
         meter.begin(f"{self.name}: reference")
         key = references.content_key(self.scene, self.camera, spent.size, self.bounces)
-        asked = store.fingerprint(key, spent.target, spent.most, spent.budget_s)
+        asked = store.fingerprint(key, store.code_digest(), spent.target, spent.most, spent.budget_s)
         kept = store.read(self.folder / "reference.json", asked)
         if kept is not None:
             with np.load(self.folder / "reference.npz") as file:
                 radiance = file["radiance"]
             meter.end(REFERENCE_CELLS, free=True)
-            return Reference(radiance, **{k: kept[k] for k in kept if k not in ("key", "images")} | {"key": key})
+            return Reference.from_dict(radiance, kept | {"key": key})
         found = references.converge(
             self.renderer, self.scene, self.camera, spent.size, bounces=self.bounces, target=spent.target,
             most=spent.most, budget_s=spent.budget_s,
@@ -225,13 +227,13 @@ class SceneStudy:
     @cached_property
     def _processes(self) -> int:
         """That compare pictures beside this one."""
-        return 0 if self.renderer.context.device.software else min(max(threads_available() - 2, 0), MOST)
+        return 0 if self.renderer.context.device.software else processes(self.spent.size)
 
     def _measure(self, cell: Cell, settings: Settings, stem: str) -> tuple[dict[str, Any], "Future[dict[str, Any]]"]:
         """The row but for its errors, and those."""
         args = self.renderer, self.scene, self.camera, self.spent.size
         if self._comparing is None:
-            truth = Truth(self.reference.radiance, self._light(), measure.specular_share(*args))
+            truth = Truth(self.reference.radiance, self._light(), measure.specular_share(*args), self.reference.light)
             self._comparing = Comparing(truth, self._processes)
         frame, at_rest = measure.draw(*args, settings), None
         if cell.stochastic and (not cell.parameters or papers.AXIS in self.axes):

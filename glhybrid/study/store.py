@@ -32,8 +32,10 @@ def renderer_digest() -> str:
 
 @lru_cache(maxsize=1)
 def code_digest() -> str:
-    """The same, and of what measures them."""
-    return renderer_digest() + digest(Path(__file__).resolve().parent.glob("*.py"))
+    """The same, and of what measures them: not of the report, nor of other renderers, which have a key of their own."""
+    study = Path(__file__).resolve().parent
+    files = [p for p in study.rglob("*.py") if not {"report", "peers"} & set(p.relative_to(study).parts)]
+    return renderer_digest() + digest(files)
 
 
 def digest(files: Iterable[Path]) -> str:

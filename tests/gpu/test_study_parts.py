@@ -12,7 +12,7 @@ import glhybrid as gh
 from glhybrid.load.builtin import scene_path
 from glhybrid.scene import Environment
 from glhybrid.settings import Settings
-from glhybrid.study import curves, paper, picture, reflected, stages
+from glhybrid.study import beside, curves, paper, picture, reflected, run, stages
 from glhybrid.study.measure import Clock
 from glhybrid.study.peers import bundle, glb, panel
 from glhybrid.study.progress import Meter
@@ -66,6 +66,30 @@ def test_what_has_gone_leaves_no_trace_without_a_memory(renderer: gh.Renderer) -
     assert np.abs(before - after).max() > 0.1, "the box is there, then not"
 
 
+def test_what_is_not_timed_is_made_beside(
+    context: "Context", renderer: gh.Renderer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Cases and curves made in other processes are found here, and are those that are made here. Of a process that ends,
+    the rest is made by others."""
+    cases, told = ["terminator", "lattice-rays", "none such", "ao-leak"], list[int]()
+    jobs = [(beside.FAILURES, name) for name in cases] + [(beside.STABILITY, "thickness")]
+    device = "software" if context.device.software else "auto"
+    beside.make(device, tmp_path / "beside", True, jobs, 2, told.append)
+    assert told[-1] == 4 and not list((tmp_path / "beside").rglob("none such*"))
+
+    def made(folder: Path) -> list[dict[str, Any]]:
+        names = [name for name in cases if name != "none such"]
+        return run.failures(renderer, folder / "failures", Meter(None, False), pytest.fail, names)
+
+    here = made(tmp_path / "here")
+    monkeypatch.setattr(run.library, "run", lambda *_, **__: pytest.fail("was kept"))
+    monkeypatch.setattr(curves, "Oracle", lambda *_: pytest.fail("was kept"))
+    assert made(tmp_path / "beside") == here and len(here) >= 7
+    curve = curves.make(renderer, "thickness", tmp_path / "beside" / "stability", True, Meter(None, False), pytest.fail)
+    assert curve is not None and {"map", "ray"} <= {line["technique"] for line in curve["lines"]}
+    assert (tmp_path / "beside" / "failures" / "terminator-0.png").is_file()
+
+
 def test_the_ladder_shows_the_papers_bias(
     renderer: gh.Renderer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -92,6 +116,7 @@ def test_table_1() -> None:
                 "flip_shadow",
                 "rel_mse",
                 "bias_percent",
+                "bias_error_percent",
             ),
             0.1,
         )

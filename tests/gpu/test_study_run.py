@@ -23,7 +23,7 @@ from glhybrid.image import Frame
 from glhybrid.load.shapes import box
 from glhybrid.scene import Camera, Environment, Light, Material, Scene, Sphere
 from glhybrid.settings import Settings
-from glhybrid.study import direct, measure, reference, run, scene_study, stability
+from glhybrid.study import direct, measure, picture, reference, run, scene_study, stability, stages
 from glhybrid.study.comparing import Comparing
 from glhybrid.study.measure import Clock
 from glhybrid.study.scene_study import SceneStudy
@@ -276,6 +276,34 @@ def test_the_reference_knows_its_noise(renderer: gh.Renderer, tmp_path: Path) ->
         path.write_bytes(path.read_bytes()[:1000])
     anew = reference.converge(renderer, scene, CAMERA, SIZE, bounces=2, target=0.0, most=16, folder=tmp_path)
     assert np.array_equal(anew.radiance, few.radiance), "a damaged file is made anew"
+
+
+def test_bias_is_told_against_all_light(renderer: gh.Renderer, tmp_path: Path) -> None:
+    """Half of a floor's light comes from a small sun by way of a mirror, found by one path in 3,000: the picture leaves
+    most of it out, as specks, and bias does not. The other half is found by every path: what has no more is 50 % off."""
+    sky = np.zeros((64, 128, 3), np.float32)
+    sky[16, 0] = 400  # behind whoever looks along -Z, 45 degrees up: the mirror shows it to a floor before it
+    floor = Material("floor", (0.8, 0.8, 0.8, 1))
+    mirror = Material("mirror", (1, 1, 1, 1), metallic=1.0, roughness=0.0)
+    parts: list[stages.Part] = [(box(size=(1, 0.2, 1)), 0, (0, -0.1, 0)), (box(size=(200, 200, 1)), 1, (0, 90, -1.5))]
+    down = Camera.look_at((0, 5, 0), (0, 0, 0), up=(0, 0, -1), fov_y=0.15)
+    scene, camera = stages.placed("half", parts, (floor, mirror), down, environment=Environment(sky))
+    found = reference.converge(renderer, scene, camera, SIZE, bounces=1, target=0.0, most=256, folder=tmp_path)
+    assert 20 < found.left_out_percent < 50
+
+    def compared(bounces: int, samples: int) -> picture.Difference:
+        settings = Settings(reflections="reference", aa=1, bounces=bounces, samples=samples, seed=12345)
+        got = renderer.render(scene, camera, SIZE, settings)["radiance"]
+        return picture.compare(got, found.radiance, found.light)[0]
+
+    every, direct_only = compared(1, 2048), compared(0, 64)
+    assert 0.5 < every.bias_error_percent < 8
+    assert (
+        abs(every.bias_percent) < 4 * every.bias_error_percent
+    )  # of 1.06 times that: `every` has an eighth of the variance
+    assert abs(direct_only.bias_percent + 50) < 4 * direct_only.bias_error_percent
+    trimmed = picture.compare(found.radiance, found.radiance, found.light)[0]
+    assert trimmed.bias_percent == pytest.approx(-found.left_out_percent, abs=0.01)
 
 
 def test_the_reference_ends_in_time(renderer: gh.Renderer, tmp_path: Path) -> None:

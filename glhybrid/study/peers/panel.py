@@ -47,6 +47,7 @@ class Site:
     reference_key: str
     exposure: float
     folder: Path
+    light: picture.AllLight | None = None  # of the reference, where that leaves some out
 
 
 @lru_cache
@@ -99,7 +100,7 @@ def ask(renderer: Renderer, name: str, site: Site, samples: int, note: Note) -> 
         note(f"{site.name}: {name} is left out: {found}")
         return None
     radiance, told = found
-    difference, flip = picture.compare(radiance, site.reference)
+    difference, flip = picture.compare(radiance, site.reference, site.light)
     frame, _ = develop(renderer, site.scene, site.camera, radiance, site.exposure)
     images = {"png": f"peer-{name}.png", "exr": f"peer-{name}.exr", "flip": f"peer-{name}.flip.png"}
     frame.save(site.folder / images["png"])

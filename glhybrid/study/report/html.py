@@ -144,8 +144,8 @@ def _left_out(reference: Row) -> str:
     if share < 0.05:
         return ""
     return (
-        f" {shown(share)} % of the light came by so few paths that it would be specks, and is left out: mostly suns and "
-        "lamps seen in glossy surfaces by way of rough ones."
+        f" {shown(share)} % of the light came by so few paths that it would be specks, and is left out of the picture: mostly "
+        "suns and lamps seen in glossy surfaces by way of rough ones. Bias counts it."
     )
 
 
@@ -356,7 +356,8 @@ def _reading(study: "Study") -> str:
         "<p><b>The reference</b> is the full light transport: sky behind obstacles and light between surfaces too. The "
         "techniques here leave those out, so the whole picture keeps an error that no choice of shadow or reflection "
         "removes. Its parts are put together by pixel so that light which one path in thousands found is not a speck that "
-        "counts against everybody (Buisine et al. 2021); what is left out falls as paths are added. Its noise is half the "
+        "counts against everybody (Buisine et al. 2021); what is left out falls as paths are added. <b>Bias</b> alone is told "
+        "against all light, the plain mean of all paths; ± is the standard deviation of that. The picture's noise is half the "
         "difference of its halves; a relative MSE contains the reference's own, which may be subtracted, and a FLIP "
         "well above it hardly does. The charts by kind leave that part out: <b>direct light</b> is lights alone, held against rays to points "
         "all over each light; <b>specular</b> weights a pixel's error by how much of its reflectance is specular.</p>"
@@ -368,6 +369,9 @@ def _reading(study: "Study") -> str:
 
 def _notes(study: "Study") -> str:
     notes = "".join(f"<li>{escape(note)}</li>" for note in study.notes) or "<li>Nothing was left out.</li>"
+    if study.seconds:
+        parts = ", ".join(f"{escape(part)} {_duration(s)}" for part, s in study.seconds.items())
+        notes += f"<li>The run that wrote this page took {_duration(sum(study.seconds.values()))}: {parts}.</li>"
     return f'<section id="notes"><h2>Notes</h2><ul class="notes">{notes}</ul></section>'
 
 

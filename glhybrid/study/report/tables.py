@@ -1,5 +1,6 @@
 """The report's tables: all figures of a scene, the paper again, other renderers."""
 
+import math
 from collections.abc import Callable, Sequence
 from html import escape
 from pathlib import Path
@@ -25,7 +26,11 @@ ERRORS: tuple[Column, ...] = (
     ("rel_mse", "relative<br>MSE", ""),
     ("psnr", "PSNR<br>dB", ""),
     ("ssim", "SSIM", ""),
-    ("bias_percent", "bias<br>%", "of mean luminance"),
+    (
+        "bias_percent",
+        "bias<br>%",
+        "of mean luminance, against all light; with the standard deviation of the reference's",
+    ),
 )
 PARTS: tuple[Column, ...] = (
     ("wrong_shadow_percent", "wrong<br>shadow %", "of pixels that face a light"),
@@ -87,11 +92,22 @@ def _cell(row: Row, key: str) -> str:
         return '<td data-value=""></td>'
     if key == "bytes":
         value = value / 2**20
+    if key == "bias_percent":
+        return f'<td data-value="{value:.9g}">{bias(row)}</td>'
     if key in SHARES:
         value = 100 * value if 100 * value >= LEAST_SHARE else 0.0
     spread = row.get(f"{key}_spread")
     extra = f" title='± {100 * spread:.0f} %'" if spread is not None else ""
     return f'<td data-value="{value:.9g}"{extra}>{shown(float(value))}</td>'
+
+
+def bias(row: Row) -> str:
+    """ "+8.1 ± 0.2", both to the digit that the second has; what is surer than a hundredth has no second."""
+    value, error = row["bias_percent"], row.get("bias_error_percent") or 0.0
+    if error < 0.005:
+        return f"{value:+.2f}"
+    digits = max(0, -math.floor(math.log10(error)))
+    return f"{value:+.{digits}f} ± {error:.{digits}f}"
 
 
 def paper(found: Row, clock: str, files: dict[str, str]) -> str:
@@ -116,17 +132,23 @@ def _table_1(lines: Sequence[Row], printed: Sequence[Row]) -> str:
         cells.append("" if line["lead_percent"] is None else f"{line['lead_percent']:+.0f} %")
         for name in ("flip", "flip_reflection"):
             cells += [_figure(kim, name), _figure(many, name), _figure(many, f"{name}_at_rest")]
-        cells += [_figure(kim, "flip_shadow"), _figure(many, "flip_shadow")]
+        cells += [
+            _figure(kim, "flip_shadow"),
+            _figure(many, "flip_shadow"),
+            bias(kim),
+            "" if many is None else bias(many),
+        ]
         body.append("<tr>" + "".join(f"<td>{escape(c)}</td>" for c in cells) + "</tr>")
     heads = ("scene", "Kim,<br>frames/s", "rays", "many rays,<br>frames/s", "Kim is<br>faster by", "FLIP<br>Kim",
              "<br>many", "many,<br>at rest", "specular<br>Kim", "<br>many", "many,<br>at rest", "direct light<br>Kim",
-             "<br>many")  # fmt: skip
+             "<br>many", "bias, %<br>Kim", "<br>many")  # fmt: skip
     said = "; ".join(
         f"scene {p['scene']}: {_range(p['kim'])} against {_range(p['unreal'])}, {_range(p['lead'])} %" for p in printed
     )
     about = (
         "<p class='soft'>Random rays are denoised, in time and error. Their error is of one frame on its own, and at rest "
-        "of the 17th, filtered over those before.</p>"
+        "of the 17th, filtered over those before. Bias is of the mean of one frame, against all light of the reference, "
+        "± whose standard deviation.</p>"
     )
     about += f"<p class='soft'>The paper printed, on an RTX 2070 SUPER against Unreal 4: {said}.</p>" if said else ""
     return (
@@ -165,7 +187,7 @@ def _figure_8(ladder: Row, clock: str, files: dict[str, str]) -> str:
         files[f"paper-{name}"] = svg
         figures.append(f'<figure><div class="wide">{svg}</div></figure>')
     body = "".join(
-        f"<tr><td>{escape(row['label'])}</td><td>{row['roughness']:g}</td><td>{row['bias_percent']:+.2f}</td>"
+        f"<tr><td>{escape(row['label'])}</td><td>{row['roughness']:g}</td><td>{bias(row)}</td>"
         f"<td>{shown(row['rmse'])}</td><td>{shown(row['flip'])}</td><td>{shown(row[clock])}</td></tr>"
         for row in sorted(rows, key=lambda r: (r["roughness"], labels.index(r["label"])))
     )
@@ -175,7 +197,7 @@ def _figure_8(ladder: Row, clock: str, files: dict[str, str]) -> str:
         "<th>bias, %</th><th>RMSE</th><th>FLIP</th><th>ms</th></tr></thead>"
         f"<tbody>{body}</tbody></table></div>"
         '<p class="soft">A metal floor under a smooth sky mirrors unlit bodies, so the error is of the lobe alone. Bias and '
-        "RMSE are over the floor, in units of its mean radiance.</p>"
+        "RMSE are over the floor, in units of its mean radiance; ± is the reference's own standard deviation.</p>"
     )
 
 
@@ -185,12 +207,12 @@ def _in_words(rows: Sequence[Row], clock: str) -> str:
     kim = next((row for row in at if row["label"] == "ray-lerp"), None)
     if kim is None:
         return ""
-    says = f"At roughness 0.25 the paper's lerp is {kim['bias_percent']:+.1f} % off in the mean, FLIP {shown(kim['flip'])}, in {shown(kim[clock])} ms."
+    says = f"At roughness 0.25 the paper's lerp is {bias(kim)} % off in the mean, FLIP {shown(kim['flip'])}, in {shown(kim[clock])} ms."
     better = [r for r in at if abs(r["bias_percent"]) <= 1 and r["flip"] < kim["flip"]]
     if better:
         best = min(better, key=lambda r: r[clock])
         says += (
-            f" The cheapest way that is within 1 % and nearer is <b>{escape(best['label'])}</b>: {best['bias_percent']:+.2f} %, "
+            f" The cheapest way that is within 1 % and nearer is <b>{escape(best['label'])}</b>: {bias(best)} %, "
             f"FLIP {shown(best['flip'])}, in {shown(best[clock])} ms, {best[clock] / kim[clock]:.2g} times the frame."
         )
     return says
@@ -201,7 +223,7 @@ def peers(found: Sequence[Row], clock: str, output: Path, embedded: Callable[[Pa
     body = "".join(
         f"<tr><td>{escape(row['scene'])}</td><td class='text'>{escape(row['renderer'])} {escape(row['version'])}</td>"
         f"<td>{shown(row[clock])}</td><td>{shown(row['flip'])}</td><td>{shown(row['rel_mse'])}</td>"
-        f"<td>{row['bias_percent']:+.1f}</td><td class='text long'>{escape('; '.join(row['notes']))}</td></tr>"
+        f"<td>{bias(row)}</td><td class='text long'>{escape('; '.join(row['notes']))}</td></tr>"
         for row in found
     )
     figures = []
