@@ -10,9 +10,11 @@ import numpy as np
 
 from glhybrid import reference
 from glhybrid.errors import SettingError, unknown
-from glhybrid.scene import F32, F64, Scene
+from glhybrid.image import Frame
+from glhybrid.scene import F32, F64, Camera, Scene, Triangles
 from glhybrid.study.oracle import I64, Oracle
-from glhybrid.study.subject import Picture, Subject, grey
+from glhybrid.study.subject import Picture, Subject, developed, grey
+from glhybrid.view import make_view
 
 EPSILON = 1e-3  # m: the offset that many renderers have as a constant
 
@@ -141,6 +143,89 @@ class MoellerTrumbore(Subject):
         return instance, nearest.reshape(shape), grey(0.2 + 0.6 * (instance >= 0))
 
 
+class InverseMatrix(Subject):
+    """Camera rays from two points of a pixel, on the near and far plane, by the inverse of projection times view, in
+    float32 as a shader has it: the depths' ratio is lost to it, and the camera's place."""
+
+    NEAR, FAR = 0.01, 1000.0
+
+    def hits(self, camera: int = 0) -> tuple[I64, F64, Picture]:
+        scene, (width, height) = self.case.scene, self.case.study.size
+        view = make_view(scene.cameras[camera], (width, height), scene)
+        pose, n, f = scene.cameras[camera].world_from_view, self.NEAR, self.FAR
+        projection = np.zeros((4, 4))
+        projection[0, 0], projection[1, 1] = 1 / np.linalg.norm(view.right), 1 / np.linalg.norm(view.up)
+        projection[2, 2:], projection[3, 2] = ((f + n) / (n - f), 2 * f * n / (n - f)), -1
+        inverse = np.linalg.inv((projection @ np.linalg.inv(pose)).astype(np.float32))
+        x = ((np.arange(width) + 0.5) / width * 2 - 1).astype(np.float32)
+        y = (1 - (np.arange(height) + 0.5) / height * 2).astype(np.float32)
+        ends = []
+        for depth in (-1, 1):
+            grid = np.stack(np.broadcast_arrays(x[None], y[:, None], np.float32(depth), np.float32(1)), -1)
+            point = grid.reshape(-1, 4) @ inverse.T
+            ends.append((point[:, :3] / point[:, 3:]).astype(np.float64))
+        way = ends[1] - ends[0]
+        hit = self.case.oracle.closest(ends[0], way / np.linalg.norm(way, axis=1, keepdims=True))
+        instance = hit.instance.reshape(height, width)
+        distance = hit.t + np.linalg.norm(ends[0] - view.eye - view.origin, axis=1)
+        return instance, distance.reshape(height, width), grey(0.2 + 0.6 * (instance >= 0))
+
+
+class NanBounds(Subject):
+    """Boxes grown by a minimum and a maximum to which a NaN is contagious: no ray enters one that had a NaN within, and
+    the root's is around all."""
+
+    def frame(self, *aovs: str, camera: int | Camera = 0, scene: Scene | None = None, **changes: Any) -> Frame:
+        scene = scene or self.case.scene
+        corners = [
+            piece.position for instance in scene.instances for piece in scene.meshes[instance.mesh].primitives
+            if isinstance(piece, Triangles)
+        ]  # fmt: skip
+        root = np.array([[np.minimum.reduce(c), np.maximum.reduce(c)] for c in corners if len(c)]).sum((0, 1))
+        seen = scene if np.isfinite(root).all() else scene.replace(instances=())
+        return super().frame(*aovs, camera=camera, scene=seen, **changes)
+
+
+class OwnTriangle(Subject):
+    """Shadow rays start on the surface, in float32, and pass over the triangle that they start from: no offset."""
+
+    def frame(self, *aovs: str, camera: int | Camera = 0, scene: Scene | None = None, **changes: Any) -> Frame:
+        assert isinstance(camera, int)
+        scene = scene or self.case.scene
+        oracle, lamp = Oracle(scene), scene.lights[0]
+        seen = oracle.seen(scene.cameras[camera], self.case.study.size)
+        origin, way = (a.reshape(-1, 3) for a in (seen.origin, seen.direction))
+        own = reference.closest_hit(oracle.triangles, origin, way)
+        facing = oracle.facing(seen, lamp).reshape(-1)
+        start = seen.position.reshape(-1, 3).astype(np.float32).astype(np.float64)
+        toward = np.broadcast_to(-np.asarray(lamp.direction, np.float64), start.shape)
+        flat = facing & np.isclose(own.t, seen.hit.t.reshape(-1))  # not of a sphere
+        lit = np.zeros(len(start))
+        lit[facing & ~flat] = 1
+        for triangle in np.unique(own.triangle[flat]):
+            rays = np.flatnonzero(flat & (own.triangle == triangle))
+            others = np.delete(oracle.triangles, triangle, axis=0)
+            lit[rays] = ~reference.any_hit(others, start[rays], toward[rays].copy(), 0.0, np.inf)
+        lambert = np.maximum((seen.hit.normal.reshape(-1, 3) * toward).sum(1), 0)
+        shown = (lit * lambert * lamp.intensity / np.pi + 0.02).reshape(seen.covered.shape) * seen.covered
+        return Frame(grey(shown), {"radiance": np.repeat(shown[..., None], 3, -1).astype(np.float32)})
+
+
+class FresnelOnly(Subject):
+    """Metals mirror the sky times Schlick's Fresnel at N.V: nothing knows how much of a rough lobe is lost."""
+
+    def frame(self, *aovs: str, camera: int | Camera = 0, scene: Scene | None = None, **changes: Any) -> Frame:
+        assert isinstance(camera, int)
+        scene, seen = scene or self.case.scene, self.case.seen(camera)
+        sky = scene.environment
+        assert sky is not None and sky.constant
+        base = np.array([m.base_color[:3] for m in scene.materials] + [(0, 0, 0)])[seen.hit.material]
+        cosine = np.abs((seen.hit.normal * seen.direction).sum(-1, keepdims=True))
+        level = np.where(seen.covered[..., None], base + (1 - base) * (1 - cosine) ** 5, 1.0)
+        shown = (level * sky.radiance[0, 0] * sky.intensity).astype(np.float32)
+        return Frame(developed(shown), {"radiance": shown})
+
+
 class RunningMean(Subject):
     """Unfiltered frames, each mixed with a tenth into what earlier ones have left, wherever that came from."""
 
@@ -166,8 +251,12 @@ def _enters(corners: F64, origin: F64, direction: F64) -> Any:
 CONTROLS: dict[str, type[Subject]] = {
     "depth-rebuilt": DepthRebuilt,
     "fixed-epsilon": FixedEpsilon,
+    "fresnel-only": FresnelOnly,
+    "inverse-matrix": InverseMatrix,
     "moeller-trumbore": MoellerTrumbore,
     "naive-slabs": NaiveSlabs,
+    "nan-bounds": NanBounds,
+    "own-triangle": OwnTriangle,
     "running-mean": RunningMean,
     "short-stack": ShortStack,
 }

@@ -30,14 +30,11 @@ def test_case(renderer: "Renderer", name: str) -> None:
 
 @pytest.mark.parametrize("name", failures.cases())
 def test_case_is_complete(name: str) -> None:
-    """Something fails, something traced holds, and there is a sentence that says why.
-
-    What compares a scene with itself has no failing method here: then two or more must hold.
-    """
+    """Something fails, something traced holds, and there is a sentence that says why."""
     study = failures.load(name).study
     fails = [e for e in study.expectations if e.fails]
     holds = [e for e in study.expectations if not e.fails]
-    assert holds and (fails or (study.measure == "changed" and len(holds) > 1))
+    assert holds and fails
     assert study.why.endswith(".") and len(study.why) < 200 and len(study.title) < 40
     # A range that a technique of the other kind would pass as well says nothing.
     assert all(a.high < b.low or a.low > b.high for a in holds for b in fails if not a.control), name

@@ -28,6 +28,24 @@ def wrong_hit(subject: Subject, border: bool = True) -> Measured:
 
 
 @quantity("%")
+def parity(subject: Subject, where: str = "outside") -> Measured:
+    """Pixels where rays from the camera meet another object than its raster shows, or 1e-4 of the distance off.
+
+    where: outside the pixels next to an outline, or inside: on those, of which both ways may take either side.
+    """
+    raster = Subject(subject.renderer, subject.case, subject.case_settings.replace(primary="raster"))
+    want, distance, _ = subject.case.once("raster", raster.hits)
+    instance, got, picture = subject.hits()
+    with np.errstate(invalid="ignore"):
+        off = (want >= 0) & ~(np.abs(got - distance) <= 1e-4 * distance)
+    wrong, edge = (instance != want) | off, metrics.edge_band(want)
+    if where == "inside":
+        wrong = instance != want
+    counted = ((want >= 0) | (instance >= 0)) & (edge if where == "inside" else ~edge)
+    return Measured(100 * float((wrong & counted).sum()) / max(int(counted.sum()), 1), marked(picture, wrong & counted))
+
+
+@quantity("%")
 def changed(subject: Subject, without: str) -> Measured:
     """Pixels whose radiance differs by more than a hundredth from the picture without the objects of a name."""
     scene = subject.case.scene

@@ -1,11 +1,12 @@
 """Measures of rough metal: bias, noise, specks, and what stays of what has gone."""
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from glhybrid.scene import Animation, Channel, Node, Scene
+from glhybrid.scene import F64, Animation, Channel, Node, Scene
 from glhybrid.study.quantities.registry import quantity
 from glhybrid.study.subject import Measured, Subject, developed, marked
 
@@ -25,6 +26,56 @@ def bias(subject: Subject, samples: int = 64) -> Measured:
     got = frame["radiance"].mean(-1)
     wrong = on & (np.abs(got - want) > 0.25 * want)
     return Measured(100 * float(got[on].mean() / want[on].mean() - 1), marked(frame.rgb, wrong))
+
+
+@quantity("%")
+def energy(subject: Subject) -> Measured:
+    """How much brighter white metal is than its lobe allows under an even sky, as a mean, of the most wrong roughness.
+
+    The truth is the directional albedo of a GGX lobe with separable masking, by quadrature: what a single bounce
+    between microfacets leaves.
+    """
+    case, frame = subject.case, subject.frame()
+    seen, sky, on = case.seen(), case.scene.environment, _rough(subject)
+    assert sky is not None and sky.constant
+    cosine = np.abs((seen.hit.normal * seen.direction).sum(-1))
+    level = frame["radiance"].mean(-1) / (sky.radiance[0, 0].mean() * sky.intensity)
+    off, wrong = [], np.zeros(on.shape, bool)
+    for row, material in enumerate(case.scene.materials):
+        mine = on & (seen.hit.material == row)
+        if mine.any():
+            want = np.interp(cosine[mine], *_albedo(material.roughness**2))
+            off.append(100 * float(level[mine].mean() / want.mean() - 1))
+            wrong[mine] = np.abs(level[mine] - want) > 0.05 * want
+    return Measured(max(off, key=abs), marked(frame.rgb, wrong))
+
+
+@lru_cache
+def _albedo(alpha: float, order: int = 128) -> tuple[F64, F64]:
+    """Cosines to the viewer, ascending, and what a white metal reflects there: the mean of the masking of light over
+    visible normals (Heitz, "Sampling the GGX Distribution of Visible Normals", JCGT 7(4), 2018), by Gauss and Legendre
+    along radii, with more nodes where light grazes."""
+    x, weight = np.polynomial.legendre.leggauss(order)
+    rest, weight = (1 - x) / 2, weight * (1 - x) / 2  # u = 1 - rest^2
+    radius, phi = np.sqrt(1 - rest**2)[:, None], 2 * np.pi * (np.arange(order) + 0.5)[None] / order
+    values, nodes = [], np.linspace(0, 1, 65)[1:]
+    for mu in nodes:
+        view = np.array([alpha * np.sqrt(1 - mu * mu), 0.0, mu])
+        view /= np.linalg.norm(view)
+        side = np.array([0.0, 1.0, 0.0])
+        up = np.cross(view, side)
+        a, b = radius * np.cos(phi), radius * np.sin(phi)
+        share = 0.5 * (1 + view[2])
+        b = (1 - share) * np.sqrt(1 - a * a) + share * b
+        c = np.sqrt(np.maximum(0, 1 - a * a - b * b))
+        half = a[..., None] * side + b[..., None] * up + c[..., None] * view
+        half = half * [alpha, alpha, 1]
+        half /= np.linalg.norm(half, axis=-1, keepdims=True)
+        outward = np.array([np.sqrt(1 - mu * mu), 0.0, mu])
+        light = 2 * (half @ outward) * half[..., 2] - mu
+        masking = 2 * light / (light + np.sqrt(alpha**2 + (1 - alpha**2) * light**2))
+        values.append(weight @ np.where(light > 0, masking, 0).mean(1))
+    return nodes, np.array(values)
 
 
 @quantity("of the mean")

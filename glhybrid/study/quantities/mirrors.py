@@ -1,5 +1,6 @@
 """Measures of exact mirrors."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,36 @@ def wrong_reflection(subject: Subject, of: str = "", mirrors: str = "", bounces:
     frame = subject.frame()
     scale = max(float(want[counted].max(initial=0)), 1e-6)
     wrong = counted & ~(np.abs(frame["radiance"] - want) <= 0.1 * scale).all(-1)
+    return Measured(100 * float(wrong.sum()) / max(int(counted.sum()), 1), marked(frame.rgb, wrong))
+
+
+@quantity("%")
+def wrong_image(subject: Subject, mirror: str) -> Measured:
+    """Pixels of a flat mirror that differ from the raster of the world behind it, but for a border of one pixel.
+
+    The world behind: everything else upside down, without the mirror, rasterised from the same camera. For a perfect
+    mirror in the plane y = 0, of colour 1, under unlit bodies: its pixels are then those of that picture. No ray, no
+    tree and no reflected direction has a part in it.
+    """
+    case, size = subject.case, subject.case.study.size
+
+    def behind() -> tuple[Any, Any]:
+        turned = np.diag([1.0, -1.0, 1.0, 1.0])
+        kept = tuple(
+            replace(i, world_from_object=turned @ i.world_from_object) for i in case.scene.instances if i.name != mirror
+        )
+        assert len(kept) < len(case.scene.instances), f'no object is named "{mirror}"'
+        plain = subject.case_settings.replace(shadows="none", reflections="none", primary="raster")
+        world = case.scene.replace(instances=kept)
+        frame = subject.renderer.render(world, 0, size, plain, ("instance_id",))
+        return frame["radiance"], frame["instance_id"]
+
+    want, met = case.once(("behind", mirror), behind)
+    names = np.array([*(i.name for i in case.scene.instances), "sky"])
+    on = names[case.seen().hit.instance] == mirror
+    counted = on & ~metrics.edge_band(np.stack([met.astype(np.int64), case.seen().hit.instance], -1))
+    frame = subject.frame()
+    wrong = counted & ~(np.abs(frame["radiance"] - want) <= 0.1 * float(want[counted].max())).all(-1)
     return Measured(100 * float(wrong.sum()) / max(int(counted.sum()), 1), marked(frame.rgb, wrong))
 
 
