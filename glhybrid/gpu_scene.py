@@ -14,7 +14,7 @@ from glhybrid.context import Context
 from glhybrid.errors import GeometryError
 from glhybrid.geometry import Geometry
 from glhybrid.gl import BufferTexture
-from glhybrid.gpu_trees import EMPTY_TREE, GpuTrees
+from glhybrid.gpu_trees import EMPTY_TREE, GpuTrees, runs
 from glhybrid.keys import MANY
 from glhybrid.levels import builds_on_gpu, drawn_and_stored
 from glhybrid.motion import Moment, Motion
@@ -24,6 +24,7 @@ from glhybrid.scene import F32, F64, SRGB_SLOTS, TEXTURE_SLOTS, Light, Material,
 _CAUSE = {"Lights": "lights", "Materials": "materials", "Textures": "textures", "TextureLevels": "textures"}
 
 
+NEAR_ROWS, MOST_WRITES = 16, 12  # of Instances: rows so near go in one write, and more writes than that as one
 TEXELS_A_TRIANGLE = 3  # in leaves
 NO_TREES = {"nodes": 0, "depth": 0, "sah_cost": 0.0, "build_ms": 0.0, "bytes": 0}
 
@@ -68,22 +69,27 @@ class GpuScene:
     ) -> None:
         self._context = context
         self._owned: list[Any] = []
-        self._origin: F64 | None = None
+        self._origin: F64 | None = None  # of the last rebase; None: all is to be uploaded
+        self._zero: F64 = np.zeros(3)  # the same, for matrices
         self.scene, self.geometry = scene, geometry
         self.resources: dict[str, Any] = {}
+        count = len(geometry.instance_id)
+        # (I, 4, 4) float64 in an order of its own, and the row of it that an instance has.
         self._world: F64 = geometry.world_from_object
-        count = len(self._world)
+        self._row_of_world: Any = np.arange(count)
         self._inverse: F64 = np.empty((count, 3, 3))  # of the linear part of _world
         self._flipped, self._boxes = np.zeros(count, bool), np.empty((count, 2, 3))
-        self._all_drawn = np.array_equal(geometry.instance_id, np.arange(len(scene.instances)))
+        self.turned = 0  # grows when instances become mirrored, or cease to be
+        self._compiled = count >= MANY or motion is not None
         movable = np.isin(geometry.instance_id, list(motion.moving)) if motion is not None else np.zeros(count, bool)
-        rows = np.flatnonzero(movable)
-        self._span = (int(rows[0]), int(rows[-1]) + 1) if len(rows) else (0, 0)  # rows that a move may change
-        self._stale = True  # moved since the last rebase
+        self._movable = np.flatnonzero(movable)
+        self._unsent: Any = None  # rising rows that have moved since the last rebase
+        self._dark = True  # lights changed since then
         self._previous: F64 | None = None
         self._bounds = np.zeros((len(geometry.meshes), 2, 3))  # of trees
         self._instances = self._instance_rows()
-        self._place(0, count)
+        self._words = tuple(self._instances.view(t).reshape(len(self._instances), -1) for t in (np.uint32, np.float32))
+        self._place(np.arange(count))
         self.trees: GpuTrees | None = None
         self._make_trees = (features.two_level, motion, rebuild, builder)
         if all(m.tree is not None for m in geometry.meshes):
@@ -115,7 +121,7 @@ class GpuScene:
         deforming = {self.mesh_of_instance(d.instances[0]) for d in motion.deformers} if motion is not None else set()
         if geometry.meshes:
             self._bounds = np.array([m.blas.bounds for m in geometry.meshes])
-            self._place(0, len(self._world))
+            self._place(np.arange(len(self._row_of_world)))
         boxes = self._boxes if two_level and geometry.meshes else None
         largest = motion.largest if motion is not None else 0
         on_gpu = builds_on_gpu(rebuild, builder, self._context.device.software, largest)
@@ -140,8 +146,8 @@ class GpuScene:
 
     @property
     def top(self) -> Any:
-        """The top-level tree; None without one. Another object whenever it has changed."""
-        return self.trees.top if self.trees is not None else None
+        """The grid of the top-level tree, another object whenever it has changed; None without such a tree."""
+        return self.trees.grid if self.trees is not None else None
 
     @property
     def top_root(self) -> int:
@@ -170,63 +176,65 @@ class GpuScene:
 
     def rebase(self, origin: F64) -> None:
         """Moves the world so that `origin` (3,) float64 is zero, and uploads what that changes: matrices and lights."""
-        if origin is self._origin or (self._origin is not None and origin.tolist() == self._origin.tolist()):
-            if not self._stale:
-                return
-            first, last = self._span
-        else:
-            first, last = 0, len(self._world)
-        self._origin, self._stale = origin, False
-        if self._previous is not None:
-            before = self._previous.copy()
-            before[:, :3, 3] -= origin
-            self.resources["PreviousInstances"].write(layout.columns(before[:, :3]))
-        if last > first:
-            self._rebase(origin, first, last)
-            rows = self._instances[first:last]
-            self.resources["Instances"].write(rows, offset=first * rows.itemsize)
-        if self.lights:
-            self.resources["Lights"].write(light_rows(self.lights, origin))
-
-    def _rebase(self, origin: F64, first: int, last: int) -> None:
-        """The positions of instances first..last-1, in the rows to be uploaded."""
-        if len(self._world) >= MANY:
-            from glhybrid import swarm
-
-            given = (self._world, self._inverse, np.ascontiguousarray(origin, np.float64))
-            words = swarm.words_of(self._instances)
-            swarm.spread(lambda a, b: swarm.rebase(*given, a, b, words), first, last)
+        same = origin is self._origin or (self._origin is not None and origin.tolist() == self._origin.tolist())
+        if same and self._unsent is None and not self._dark:
             return
-        position = self._world[first:last, :3, 3] - origin
-        rows = self._instances[first:last]
-        rows["world_from_object"][:, 3, :3] = position
-        rows["object_from_world"][:, 3, :3] = -np.einsum("iab,ib->ia", self._inverse[first:last], position)
+        rows, size = self._instances, self._instances.itemsize
+        if self._previous is not None:
+            before = self._previous[:, :3].copy()
+            before[:, :, 3] -= origin
+            self.resources["PreviousInstances"].write(layout.columns(before))
+        if not same:
+            self._origin, self._zero = origin, np.array(origin, np.float64)
+            self._rebase()
+            self.resources["Instances"].write(rows)
+        elif self._unsent is not None and len(self._unsent):
+            for first, last in runs(self._unsent, NEAR_ROWS, MOST_WRITES):
+                self.resources["Instances"].write(rows[first:last], offset=first * size)
+        if self.lights and (self._dark or not same):
+            self.resources["Lights"].write(light_rows(self.lights, origin))
+        self._unsent, self._dark = None, False
 
-    def _place(self, first: int, last: int) -> None:
-        """What a translation leaves alone of instances first..last-1: linear parts, handedness; and their boxes."""
-        world, rows = self._world[first:last], self._instances[first:last]
-        if len(self._world) >= MANY:
+    def _rebase(self) -> None:
+        """The positions of all instances, in the rows to be uploaded."""
+        rows, origin = self._instances, self._zero
+        count = len(self._row_of_world)
+        if self._compiled:
             from glhybrid import swarm
 
-            given = (self._world, self._bounds, self.geometry.instance_mesh)
-            out = (swarm.words_of(self._instances), self._inverse, self._flipped.view(np.uint8), self._boxes)
-            swarm.spread(lambda a, b: swarm.place(*given, a, b, *out), first, last)
-        else:
-            inverse = self._inverse[first:last] = np.linalg.inv(world[:, :3, :3])
+            given, words = (self._world, self._row_of_world, self._inverse, origin), self._words[1]
+            swarm.spread(lambda a, b: swarm.rebase(*given, a, b, words), 0, count)
+        elif count:
+            position = self.world_from_object[:, :3, 3] - origin
+            rows["world_from_object"][:, 3, :3] = position
+            rows["object_from_world"][:, 3, :3] = -np.einsum("iab,ib->ia", self._inverse, position)
+
+    def _place(self, instances: Any) -> None:
+        """Both matrices of some instances, rising rows, handedness, and boxes in the world."""
+        rows, count = self._instances, len(instances)
+        if self._compiled:
+            from glhybrid import swarm
+
+            given = (self._world, self._row_of_world, self._bounds, self.geometry.instance_mesh, instances)
+            out = (self._zero, swarm.FLAG, *self._words, self._inverse, self._flipped.view(np.uint8), self._boxes)
+            self.turned += sum(swarm.spread(lambda a, b: swarm.place(*given, a, b, *out), 0, count))
+        elif count:
+            assert count == len(rows)  # what moves is compiled
+            world = self.world_from_object
+            self._inverse[:] = np.linalg.inv(world[:, :3, :3])
             rows["world_from_object"][:, :3, :3] = world[:, :3, :3].swapaxes(1, 2)
-            rows["object_from_world"][:, :3, :3] = inverse.swapaxes(1, 2)
-            self._flipped[first:last] = np.linalg.det(world[:, :3, :3]) < 0
-            boxes = self._bounds[self.geometry.instance_mesh[first:last]]
+            rows["object_from_world"][:, :3, :3] = self._inverse.swapaxes(1, 2)
+            rows["flipped"] = self._flipped[:] = np.linalg.det(world[:, :3, :3]) < 0
+            boxes = self._bounds[self.geometry.instance_mesh]
             centre, half = boxes.mean(1), np.diff(boxes, axis=1)[:, 0] / 2
             centre = np.einsum("iab,ib->ia", world[:, :3, :3], centre) + world[:, :3, 3]
             half = np.einsum("iab,ib->ia", np.abs(world[:, :3, :3]), half)
-            self._boxes[first:last] = np.stack([centre - half, centre + half], axis=1)
-        rows["flipped"] = self._flipped[first:last]
+            self._boxes[:] = np.stack([centre - half, centre + half], axis=1)
 
     def relight(self, lights: tuple[Light, ...]) -> None:
         """Other lights, as many as before; the next rebase uploads them."""
         if self.lights and lights != self.lights:
-            self.lights, self._stale = lights, True
+            self.lights, self._dark = lights, True
 
     def move(self, moment: Moment, trees: dict[int, MovedTree]) -> None:
         """Everything where a moment has it: instances, lights, the top-level tree. The next rebase uploads matrices.
@@ -234,28 +242,39 @@ class GpuScene:
         trees: by row of geometry.meshes, those whose vertices moved.
         """
         geometry, rows = self.geometry, self._instances
-        if "PreviousInstances" in self.resources:
-            self._previous = self._world
-        self.lights = moment.lights if self.lights else ()
-        self._stale = True
+        if self.lights and moment.lights is not self.lights:
+            self.lights, self._dark = moment.lights, True
         if not len(geometry.instance_id):
             return
-        world = moment.world_from_object
-        self._world = world if self._all_drawn else world[geometry.instance_id]
+        moved = self._movable
+        if self._world is moment.world_from_object and moment.moved is not None:
+            moved = moment.moved
+            if len(geometry.instance_id) < len(self._world):
+                moved = np.flatnonzero(np.isin(geometry.instance_id, moved))
+        else:
+            self._world, self._row_of_world = moment.world_from_object, geometry.instance_id.astype(np.int64)
         for mesh, tree in trees.items():
             self._bounds[mesh] = tree.bounds
-            ours = geometry.instance_mesh == mesh
+            ours = np.flatnonzero(geometry.instance_mesh == mesh)
             rows["grid_min"][ours], rows["grid_step"][ours] = tree.grid_min, tree.grid_step
-        self._place(*self._span)
-        if self.trees is not None and self.trees.top is not None:
-            self.trees.move_top(self._boxes)
+            moved = np.union1d(moved, ours)
+        if len(moved):
+            self._place(moved)
+            if self.trees is not None and self.trees.top is not None:
+                self.trees.move_top(self._boxes, moved)
+        self._unsent = moved if self._unsent is None or not len(self._unsent) else np.union1d(self._unsent, moved)
+
+    def keep_places(self) -> None:
+        """To be called before a move, which changes them: where instances are becomes where they were."""
+        if "PreviousInstances" in self.resources:
+            self._previous = self.world_from_object
 
     def keep_previous(self, vertices: bool) -> None:
         """Makes room for where instances, and vertices too, were a frame ago: the motion AOV reads it."""
         if "PreviousInstances" not in self.resources:
-            size = max(len(self._world), 1) * layout.dtype("Placement").itemsize
+            size = len(self._instances) * layout.dtype("Placement").itemsize
             self.resources["PreviousInstances"] = self._buffer("PreviousInstances", size)
-            self._previous, self._stale = self._world, True
+            self._previous, self._origin = self.world_from_object, None
         if vertices and "previous_vertices" not in self.resources:
             self._texels("previous_vertices", self.geometry.vertices)
             self.copy_vertices()
@@ -269,7 +288,7 @@ class GpuScene:
     @property
     def world_from_object(self) -> F64:
         """(I, 4, 4) float64: where instances are now, in the order of Geometry's."""
-        return self._world
+        return self._world[self._row_of_world]
 
     @property
     def flipped(self) -> np.ndarray:

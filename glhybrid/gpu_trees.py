@@ -16,12 +16,11 @@ from glhybrid.bvh.merging import merging
 from glhybrid.errors import GeometryError
 from glhybrid.geometry import Geometry
 from glhybrid.gl import BufferTexture
-from glhybrid.keys import MANY
-from glhybrid.scene import F64, U32
+from glhybrid.scene import F32, F64, U32
 
 SPARE_LEVELS = 8  # of the stack, for top-level trees that come out deeper as things move
 STACK_LIMIT = 128
-REF_RETURN = 0xFFFFFFFE  # as in lib/bvh.glsl: back to the world's ray; nothing to do for one that is there already
+NEAR_NODES, MOST_WRITES = 64, 16  # nodes so near go in one write, and more writes than that as one
 
 # One node whose two children are leaves of nothing: where a ray through a scene without triangles ends at once.
 EMPTY_TREE = np.array([[0, 0, 0, 0x80000000, 0, 0, 0, 0x80000000]], np.uint32)
@@ -65,16 +64,19 @@ class GpuTrees:
         self._slot_first, self._node_first = ends, [*self.roots.tolist(), len(nodes)]
         self.items = {row: slots[ends[row] : ends[row + 1], [3, 7]] for row in room if on_gpu}
         self._slot_words = {row: _by_geometry(slots[ends[row] : ends[row + 1], 7]) for row in deforming if row >= 0}
-        self.top: Tlas | None = None
+        self.top: Tlas | None = None  # as it was built last
+        self._moving: Any = None  # the same in motion
+        self.grid: tuple[F64, F32] | None = None  # its corner and steps: another object whenever they change
         self.top_root = 0  # row of nodes
         self.tops_built = 0  # top-level trees since the scene was loaded
         self._built_cost = np.inf
         if boxes is not None:
-            self._centre: F64 = (boxes[:, 0].min(0) + boxes[:, 1].max(0)) / 2
-            self.top = bvh.build_tlas(boxes - self._centre, moving=moving)
+            centre = (boxes[:, 0].min(0) + boxes[:, 1].max(0)) / 2
+            self.top = bvh.build_tlas(boxes - centre, moving=moving)
+            self.grid = self.top.grid_min + centre, self.top.grid_step
             self._built_cost = self.top.sah_cost
             self.top_root = len(nodes)
-            nodes = np.concatenate([nodes.reshape(-1, 8), self._top_nodes(self.top)])
+            nodes = np.concatenate([nodes.reshape(-1, 8), self.top.placed(self.top_root)])
         self.stack_entries = self.stack_needed(SPARE_LEVELS if moving else 0)
         self._nodes = texels("nodes", nodes if len(nodes) else EMPTY_TREE)
         self._slots = texels("slots", slots)
@@ -105,28 +107,39 @@ class GpuTrees:
             "bytes": self._nodes.buffer.size + self._slots.buffer.size,
         }
 
-    def move_top(self, boxes: F64) -> None:
-        """The top-level tree over the boxes as they are: refitted, or built anew once that has made it worse."""
-        old = self.top
-        self._centre = (boxes[:, 0].min(0) + boxes[:, 1].max(0)) / 2
-        moved = boxes - self._centre
-        tree = None
-        if old is not None and len(boxes) >= MANY and self._rebuild != 1:
-            tree = bvh.refit_tlas(old, moved)
-            if self._rebuild and tree.sah_cost > self._rebuild * self._built_cost:
-                tree = None
-        if tree is None:
-            tree = bvh.build_tlas(moved, moving=True)
-            self._built_cost = tree.sah_cost
+    def move_top(self, boxes: F64, moved: np.ndarray) -> None:
+        """The top-level tree over the boxes as they are: refitted, or built anew once that has made it worse.
+
+        moved: rising rows of boxes that are not what they were.
+        """
+        from glhybrid.bvh.top import MovingTop
+
+        assert self.top is not None
+        tree, changed = self._moving or MovingTop(self.top, self.top_root), None
+        anew = self._rebuild == 1
+        if not anew:
+            changed = tree.refit(boxes, moved)
+            anew = len(boxes) > 1 and 0 < self._rebuild * self._built_cost < tree.sah_cost
+        if anew:
+            centre = (boxes[:, 0].min(0) + boxes[:, 1].max(0)) / 2
+            self.top = bvh.build_tlas(boxes - centre, moving=True)
+            self._built_cost = self.top.sah_cost
             self.tops_built += 1
-        self.top = tree
-        self._nodes.buffer.write(self._top_nodes(tree), offset=self.top_root * 32)
+            tree = MovingTop(self.top, self.top_root)
+            changed = tree.refit(boxes)
+        self._moving, self.grid = tree, tree.grid
+        rows, write = tree.rows, self._nodes.buffer.write
+        if changed is None:
+            write(rows, offset=self.top_root * 32)
+        elif len(changed):
+            for first, last in runs(changed, NEAR_NODES, MOST_WRITES):
+                write(rows[first:last], offset=(self.top_root + first) * 32)
 
     def top_grid(self, origin: F64) -> tuple[F64, F64]:
         """(grid_min, grid_step) of the top-level tree in the world rebased on origin."""
-        if self.top is None:
+        if self.grid is None:
             return np.zeros(3), np.ones(3)
-        return self.top.grid_min + self._centre - origin, self.top.grid_step.astype(np.float64)
+        return self.grid[0] - origin, self.grid[1].astype(np.float64)
 
     def node_first(self, mesh: int) -> int:
         """Row of nodes of a mesh's root."""
@@ -153,13 +166,19 @@ class GpuTrees:
         self._slots.buffer.write(slots, offset=slot * 48)
         self._depth[mesh] = blas.depth
 
-    def _top_nodes(self, top: Tlas) -> U32:
-        """(N, 8) nodes of the top-level tree, where they lie behind all others."""
-        nodes = top.nodes.reshape(-1, 8).copy()
-        refs = nodes[:, 3::4]
-        refs[refs == LEAF] = REF_RETURN  # the empty child of a single instance, which must not be entered twice
-        refs[refs < LEAF] += np.uint32(self.top_root)
-        return nodes
+
+def runs(rows: np.ndarray, gap: int, most: int) -> list[tuple[int, int]]:
+    """(first, last) of the stretches that hold rising rows (R,), R > 0; what is up to `gap` apart is in one.
+
+    At most `most`: else all in one, for each costs a call.
+    """
+    if len(rows) == 1 or len(rows) == rows[-1] - rows[0] + 1:
+        return [(int(rows[0]), int(rows[-1]) + 1)]
+    ends = np.flatnonzero(rows[1:] - rows[:-1] > gap)
+    if len(ends) >= most:
+        return [(int(rows[0]), int(rows[-1]) + 1)]
+    firsts, lasts = [rows[0], *rows[ends + 1]], [*rows[ends], rows[-1]]
+    return [(int(a), int(b) + 1) for a, b in zip(firsts, lasts, strict=True)]
 
 
 def _slot_flags(geometry: Geometry, numbers: U32) -> U32:

@@ -17,7 +17,7 @@ def sample(channel: Channel, time: float) -> F64:
     return Tracks((channel,)).at(time)[0]
 
 
-MANY = 1024  # channels, nodes or instances from which on compiled code (swarm.py) is worth loading
+MANY = 1024  # channels, nodes or instances from which on compiled code (swarm.py) is worth loading for one look
 
 
 class Tracks:
@@ -39,6 +39,7 @@ class Tracks:
         self._turns = self.path == "rotation"
         if self._turns and self.interpolation != "CUBICSPLINE":
             self._values = unit_quaternions(self._values)
+        self._given: Any = None  # what `into` hands to compiled code
 
     def at(self, time: float) -> F64:
         """(C, W) float64."""
@@ -57,19 +58,23 @@ class Tracks:
         return unit_quaternions(value) if cubic and self._turns else value
 
     def _compiled(self, time: float) -> F64:
+        out = np.empty((len(self.nodes), self._values.shape[-1]))
+        self.into(out, time, np.arange(len(out)))
+        return out
+
+    def into(self, out: F64, time: float, rows: Any = None) -> None:
+        """The same, compiled, into the rows of out (N, W) that are given (C,) int64, or into those of the nodes."""
         from glhybrid import swarm
 
-        values = self._values if self.interpolation == "CUBICSPLINE" else self._values[:, None]
-        turn = {"LINEAR": "SLERP", "CUBICSPLINE": "CUBIC_TURN"} if self._turns else {}
-        kind = swarm.KINDS[turn.get(self.interpolation, self.interpolation)]
-        out = np.empty((len(self.nodes), values.shape[2]))
+        if self._given is None:
+            values = self._values if self.interpolation == "CUBICSPLINE" else self._values[:, None]
+            turn = {"LINEAR": "SLERP", "CUBICSPLINE": "CUBIC_TURN"} if self._turns else {}
+            kind = swarm.KINDS[turn.get(self.interpolation, self.interpolation)]
+            self._given = (self._times, np.ascontiguousarray(values), self._first, self._end), kind
+        (given, kind), rows = self._given, self.nodes if rows is None else rows
         swarm.spread(
-            lambda first, last: swarm.sample(
-                self._times, values, self._first, self._end, time, kind, first, last, out
-            ),
-            0, len(out),
+            lambda first, last: swarm.sample(*given, rows, time, kind, first, last, out), 0, len(self.nodes)
         )  # fmt: skip
-        return out
 
     def _after(self, time: float) -> Any:
         """(C,) row of each channel's first key later than the time; its end if there is none."""

@@ -12,7 +12,6 @@ import numpy as np
 from glhybrid import pose as posing
 from glhybrid.deform import Deformer, deformers, influences, morph_weights, posed
 from glhybrid.errors import GeometryError
-from glhybrid.keys import MANY
 from glhybrid.pose import Pose
 from glhybrid.scene import F64, Animation, Camera, Light, Scene, Sphere, Triangles
 from glhybrid.settings import Settings
@@ -34,13 +33,17 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """A scene at a time. world_from_object: (I, 4, 4) float64 by row of Scene.instances."""
+    """A scene at a time. world_from_object: (I, 4, 4) float64 by row of Scene.instances.
+
+    moved: rising rows of it that differ from what was in the array before; None: that is not known.
+    """
 
     time: float
     world_from_object: F64
     lights: tuple[Light, ...]
     cameras: tuple[Camera, ...]
     shapes: tuple[Shape, ...]
+    moved: np.ndarray | None = None
 
 
 def animated(settings: Settings) -> bool:
@@ -83,7 +86,8 @@ class Motion:
         self._rows = np.array(rows, np.int64)
         self._nodes = np.array([scene.instances[i].node for i in rows], np.int64)
         self._local = _local(scene, self._rows, self._nodes, rest.world)
-        self._plain = (self._local == np.eye(4)).all((1, 2))
+        self._plain = (self._local == np.eye(4)).all((1, 2)).view(np.uint8)
+        self._flat, self._moved = (np.zeros(len(rows), np.uint8) for _ in range(2))
         self._skinned = [(i, p.skin) for i, p in enumerate(scene.instances) if p.skin >= 0]
         start = posed(scene, rest, self.deformers)
         self._still = np.array([p.world_from_object for p in start.instances]).reshape(-1, 4, 4)
@@ -111,30 +115,41 @@ class Motion:
         meshes = [self.start.meshes[m].primitives for m in self.deforming]
         return max((sum(len(p.index) for p in m if isinstance(p, Triangles)) for m in meshes), default=0)
 
-    def at(self, time: float) -> Moment:
-        """Everything that moves, at a time in seconds."""
-        pose = self._player.at(time)
-        world = np.empty_like(self._still) if len(self._rows) == len(self._still) else self._still.copy()
-        self._carry(pose.world, world)
+    def at(self, time: float, world: F64 | None = None) -> Moment:
+        """Everything that moves, at a time in seconds.
+
+        world: (I, 4, 4) of an earlier moment, to be changed into this one's.
+        """
+        pose = self._player.run(time)
+        rows = None
+        if world is None:
+            world = self.resting()
+            self._carry(pose.world, world)
+        else:
+            rows = self._carry(pose.world, world)
         for row, skin in self._skinned:
             world[row, :3, 3] = posing.anchor(self.scene, pose, skin)
+        if rows is not None and self._skinned:
+            rows = np.union1d(rows, [row for row, _ in self._skinned])
         placed = posing.place(self._lists, pose, self._player.rest) if self._lists_move else self._lists
         shapes = tuple(self._shape(d, b, pose) for d, b in zip(self.deformers, self._boxes, strict=True))
-        return Moment(time, world, placed.lights, placed.cameras, shapes)
+        return Moment(time, world, placed.lights, placed.cameras, shapes, rows)
 
-    def _carry(self, nodes: F64, world: F64) -> None:
-        """Puts what moves rigidly where its nodes are."""
-        if len(self._rows) < MANY:
-            here = nodes[self._nodes]
-            world[self._rows] = _invertible(here if self._plain.all() else here @ self._local)
-            return
+    def resting(self) -> F64:
+        """(I, 4, 4) float64: where instances are in `start`."""
+        return self._still.copy()
+
+    def _carry(self, nodes: F64, world: F64) -> np.ndarray:
+        """Puts what moves rigidly where its nodes are; returns the rows where it was not before."""
         from glhybrid import swarm
 
-        flat = np.zeros(len(self._rows), np.uint8)
-        given = (nodes, self._nodes, self._local, self._plain.view(np.uint8), self._rows)
-        swarm.spread(lambda first, last: swarm.carry(*given, first, last, world, flat), 0, len(flat))
-        for row in self._rows[np.flatnonzero(flat)]:
-            world[row] = posing.invertible(world[row])
+        flat, moved, rows = self._flat, self._moved, self._rows
+        given = (nodes, self._nodes, self._local, self._plain, rows)
+        counts = swarm.spread(lambda first, last: swarm.carry(*given, first, last, world, flat, moved), 0, len(rows))
+        if any(counts):
+            for row in rows[np.flatnonzero(flat)]:
+                world[row] = posing.invertible(world[row])
+        return rows[np.flatnonzero(moved)]
 
     @cached_property
     def bounds(self) -> F64:

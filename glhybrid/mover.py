@@ -11,7 +11,7 @@ from glhybrid.motion import Motion
 from glhybrid.needs import Features
 from glhybrid.passes.refit import Refit
 from glhybrid.passes.skin import Skin
-from glhybrid.scene import Scene
+from glhybrid.scene import F64, Scene
 from glhybrid.shaders import Shaders
 from glhybrid.timing import Timing
 
@@ -27,6 +27,8 @@ class Mover:
         self._upload = upload
         self.motion = motion
         self.ms: dict[str, float] = {}
+        self._world: F64 | None = None  # of the moment shown
+        self._scene = motion.start
         self.skin: Skin | None = None
         self.refit: Refit | None = None
         self._shown = [i for i, d in enumerate(motion.deformers) if upload.mesh_of_instance(d.instances[0]) >= 0]
@@ -48,7 +50,9 @@ class Mover:
         """
         timing = Timing(self._finish, enabled=timed)
         timing.frame()
-        moment = timing.run("pose", lambda: self.motion.at(time))
+        self._upload.keep_places()
+        moment = timing.run("pose", lambda: self.motion.at(time, self._world))
+        self._world = moment.world_from_object
         trees: dict[int, MovedTree] = {}
         skin, refit = self.skin, self.refit
         if skin is not None:
@@ -59,7 +63,9 @@ class Mover:
         timing.run("tlas", lambda: self._upload.move(moment, trees))
         if timed:
             self.ms = timing.take()
-        return self.motion.start.replace(lights=moment.lights, cameras=moment.cameras)
+        if moment.lights is not self._scene.lights or moment.cameras is not self._scene.cameras:
+            self._scene = self._scene.replace(lights=moment.lights, cameras=moment.cameras)
+        return self._scene
 
     @property
     def bytes(self) -> int:

@@ -105,7 +105,11 @@ class Player:
         parent = _parents(scene.nodes)
         levels = [level[moving[level]] for level in _levels(parent)]
         self._levels = [(level, parent[level]) for level in levels if len(level)]
+        nothing = [np.zeros(0, np.int64)]
+        in_order = (np.concatenate(nothing + [level[k] for level in self._levels]) for k in (0, 1))
+        self._in_order = next(in_order), next(in_order)
         self._all_move = bool(moving.all())
+        self._now: Pose | None = None  # of run()
 
     def at(self, time: float) -> Pose:
         """The pose at a time in seconds. Raises GeometryError where it is not finite."""
@@ -119,12 +123,29 @@ class Player:
                 place[path][nodes] = values
         world = np.empty_like(self.rest) if self._all_move else self.rest.copy()
         bad = (self._chain_compiled if len(self._posed) >= keys.MANY else self._chain)(place, world)
+        self._refuse(bad, time)
+        return Pose(world, weights)
+
+    def run(self, time: float) -> Pose:
+        """The same, compiled, for who looks again and again: the next call changes what this one returned."""
+        if self._now is None:
+            self._place = {path: np.array(values, np.float64, order="C") for path, values in self._place.items()}
+            self._now = Pose(self.rest.copy(), {})
+        weights = self._now.weights
+        for group in self._tracks:
+            if group.path == "weights":
+                weights.update(zip(group.nodes.tolist(), group.at(time), strict=True))
+            else:
+                group.into(self._place[group.path], time)
+        self._refuse(self._chain_compiled(self._place, self._now.world), time)
+        return self._now
+
+    def _refuse(self, bad: int, time: float) -> None:
         if bad >= 0:
             raise GeometryError(
                 f'{self._scene.name}: clip "{self._clip.name}" at {time:g} s puts node {bad} '
                 f'"{self._scene.nodes[bad].name}" nowhere: its matrix is not finite'
             )
-        return Pose(world, weights)
 
     def _chain(self, place: dict[str, F64], world: F64) -> int:
         """Fills world (N, 4, 4) from translations, rotations and scales; returns a node that is nowhere, or -1."""
@@ -142,7 +163,10 @@ class Player:
 
         placed = (place["translation"], place["rotation"], place["scale"], self._is_posed, self._local)
         bad = -1
-        for nodes, parents in self._levels:
+        levels = self._levels
+        if levels and len(self._posed) < swarm.TASK:  # one core does it all: parents come first
+            levels = [self._in_order]
+        for nodes, parents in levels:
             parts = swarm.spread(
                 lambda first, last: swarm.pose_level(*placed, nodes, parents, first, last, world),  # noqa: B023
                 0, len(nodes),

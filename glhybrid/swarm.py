@@ -1,7 +1,7 @@
-"""Poses of thousands of nodes and instances a frame, compiled. Import it only where there are that many (MANY).
+"""Poses of nodes and instances, compiled: a frame of one takes microseconds, and one of thousands all cores.
 
-Each function does what NumPy does elsewhere for few, in one pass over memory and on all cores: keys.Tracks.at,
-pose.Player.at, motion.Motion.at and GpuScene.move. Tests hold the two against each other.
+Import it only where something moves, or where there are thousands (MANY). Each function does what NumPy does elsewhere
+for what is looked at once (keys.Tracks.at, pose.Player.at, pose.place, GpuScene); tests hold both against each other.
 """
 
 import os
@@ -13,11 +13,14 @@ from typing import Any
 import numpy as np
 from numba import njit, types
 
+from glhybrid import layout
 from glhybrid.jit import kernel
-from glhybrid.scene import F32
 
 TASK = 8192  # elements under which a range is not worth another thread
 KINDS = {"STEP": 0, "LINEAR": 1, "SLERP": 2, "CUBICSPLINE": 3, "CUBIC_TURN": 4}
+_fields: Any = layout.dtype("Instance").fields
+FLAG: int = _fields["flipped"][1] // 4  # column of 32-bit words in rows of layout Instance
+assert (_fields["world_from_object"][1], _fields["object_from_world"][1]) == (0, 64)  # as `place` has it
 _f1, _f2, _f3 = (types.Array(types.float64, n, "C", readonly=True) for n in (1, 2, 3))
 _i1 = types.Array(types.int64, 1, "C", readonly=True)
 _bytes = types.Array(types.uint8, 1, "C", readonly=True)
@@ -25,10 +28,9 @@ _bytes = types.Array(types.uint8, 1, "C", readonly=True)
 
 def spread(function: Callable[[int, int], Any], first: int, last: int) -> list[Any]:
     """function(first, last) over parts of a range, one a core."""
-    parts = min(_cores(), max((last - first) // TASK, 1))
-    edges = np.linspace(first, last, parts + 1).astype(int).tolist()
-    if parts == 1:
+    if last - first < 2 * TASK or (parts := min(_cores(), (last - first) // TASK)) == 1:
         return [function(first, last)]
+    edges = np.linspace(first, last, parts + 1).astype(int).tolist()
     return list(_pool().map(lambda k: function(edges[k], edges[k + 1]), range(parts)))
 
 
@@ -42,11 +44,15 @@ def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(_cores(), "glhybrid-swarm")
 
 
-@kernel(types.void(_f1, _f3, _i1, _i1, types.float64, types.int64, types.int64, types.int64, types.float64[:, ::1]))
-def sample(times, values, starts, ends, time, kind, first, last, out):  # type: ignore[no-untyped-def]
-    """Channels first..last-1 at a time -> out (C, W). values: (K, 1 or 3, W); rotations unit but for cubic ones."""
+@kernel(
+    types.void(_f1, _f3, _i1, _i1, _i1, types.float64, types.int64, types.int64, types.int64, types.float64[:, ::1])
+)
+def sample(times, values, starts, ends, rows, time, kind, first, last, out):  # type: ignore[no-untyped-def]
+    """Channels first..last-1 at a time -> their rows of out (N, W). values: (K, 1 or 3, W); rotations unit but for
+    cubic ones."""
     width = out.shape[1]
     for c in range(first, last):
+        row = rows[c]
         low, high = starts[c], ends[c]
         while low < high:
             middle = (low + high) >> 1
@@ -58,7 +64,7 @@ def sample(times, values, starts, ends, time, kind, first, last, out):  # type: 
         key = 1 if kind >= 3 else 0
         if kind == 0 or low == starts[c] or low == ends[c]:
             for w in range(width):
-                out[c, w] = values[before, key, w]
+                out[row, w] = values[before, key, w]
         else:
             step = times[low] - times[before]
             u = (time - times[before]) / step
@@ -81,20 +87,20 @@ def sample(times, values, starts, ends, time, kind, first, last, out):  # type: 
                 p, q = 2 * u**3 - 3 * u**2 + 1, (u**3 - 2 * u**2 + u) * step
                 r, s = 3 * u**2 - 2 * u**3, (u**3 - u**2) * step
                 for w in range(width):
-                    out[c, w] = (
+                    out[row, w] = (
                         p * values[before, 1, w] + q * values[before, 2, w]
                         + r * values[low, 1, w] + s * values[low, 0, w]
                     )  # fmt: skip
             else:
                 for w in range(width):
-                    out[c, w] = a * values[before, 0, w] + b * values[low, 0, w]
+                    out[row, w] = a * values[before, 0, w] + b * values[low, 0, w]
         if kind == 2 or kind == 4:
-            length = np.sqrt(out[c, 0] ** 2 + out[c, 1] ** 2 + out[c, 2] ** 2 + out[c, 3] ** 2)
+            length = np.sqrt(out[row, 0] ** 2 + out[row, 1] ** 2 + out[row, 2] ** 2 + out[row, 3] ** 2)
             for w in range(4):
                 if length > 1e-30:
-                    out[c, w] /= length
+                    out[row, w] /= length
                 else:
-                    out[c, w] = 1.0 if w == 3 else 0.0
+                    out[row, w] = 1.0 if w == 3 else 0.0
 
 
 @kernel(
@@ -103,7 +109,8 @@ def sample(times, values, starts, ends, time, kind, first, last, out):  # type: 
     )
 )  # fmt: skip
 def pose_level(translation, rotation, scale, posed, local, nodes, parents, first, last, world):  # type: ignore[no-untyped-def]
-    """world_from_node of nodes[first:last], whose parents are done. posed: nodes whose T, R, S count, not `local`.
+    """world_from_node of nodes[first:last], whose parents are done or come before them. posed: nodes whose T, R, S
+    count, not `local`.
 
     Returns a node whose matrix is not finite, -1 if there is none.
     """
@@ -154,17 +161,19 @@ def determinant(m):  # type: ignore[no-untyped-def]
 
 @kernel(
     types.int64(
-        _f3, _i1, _f3, _bytes, _i1, types.int64, types.int64, types.float64[:, :, ::1], types.uint8[::1]
+        _f3, _i1, _f3, _bytes, _i1, types.int64, types.int64, types.float64[:, :, ::1], types.uint8[::1],
+        types.uint8[::1],
     )
 )  # fmt: skip
-def carry(world, nodes, local, plain, rows, first, last, out, flat):  # type: ignore[no-untyped-def]
+def carry(world, nodes, local, plain, rows, first, last, out, flat, moved):  # type: ignore[no-untyped-def]
     """out[rows[k]] = world[nodes[k]] @ local[k], k from first to last - 1; plain: where local is the identity.
 
-    flat: set where the result may have no volume; returns how many.
+    flat: set where the result may have no volume; returns how many. moved: set where it is not what was there.
     """
     count = 0
     for k in range(first, last):
         node, row = nodes[k], rows[k]
+        moved[k] = 0
         for i in range(3):
             for j in range(4):
                 value = world[node, i, j]
@@ -175,7 +184,9 @@ def carry(world, nodes, local, plain, rows, first, last, out, flat):  # type: ig
                     )  # fmt: skip
                     if j == 3:
                         value += world[node, i, 3]
-                out[row, i, j] = value
+                if out[row, i, j] != value:
+                    out[row, i, j] = value
+                    moved[k] = 1
         out[row, 3, 0] = out[row, 3, 1] = out[row, 3, 2] = 0.0
         out[row, 3, 3] = 1.0
         m = out[row]
@@ -188,19 +199,37 @@ def carry(world, nodes, local, plain, rows, first, last, out, flat):  # type: ig
     return count
 
 
+@njit
+def _positions(m, inv, origin, words):  # type: ignore[no-untyped-def]
+    """The last columns of both matrices, for a world whose zero is origin."""
+    x, y, z = m[0, 3] - origin[0], m[1, 3] - origin[1], m[2, 3] - origin[2]
+    words[12], words[13], words[14] = x, y, z
+    for i in range(3):
+        words[28 + i] = -(inv[i, 0] * x + inv[i, 1] * y + inv[i, 2] * z)
+
+
 @kernel(
-    types.void(
-        types.float64[:, :, ::1], _f3, types.Array(types.uint32, 1, "C", readonly=True), types.int64, types.int64,
-        types.float32[:, ::1], types.float64[:, :, ::1], types.uint8[::1], types.float64[:, :, ::1],
+    types.int64(
+        _f3, _i1, _f3, types.Array(types.uint32, 1, "C", readonly=True), _i1, types.int64, types.int64, _f1,
+        types.int64, types.uint32[:, ::1], types.float32[:, ::1], types.float64[:, :, ::1], types.uint8[::1],
+        types.float64[:, :, ::1],
     )
 )  # fmt: skip
-def place(world, bounds, mesh, first, last, words, inverse, flipped, boxes):  # type: ignore[no-untyped-def]
-    """Instances first..last-1: the linear parts of both matrices in `words`, the rows of layout Instance as float32;
-    inverse (I, 3, 3); flipped: mirrored; boxes (I, 2, 3), world, of bounds (M, 2, 3) by mesh."""
-    for k in range(first, last):
-        m, inv = world[k], inverse[k]
+def place(world, ids, bounds, mesh, rows, first, last, origin, flag, bits, words, inverse, flipped, boxes):  # type: ignore[no-untyped-def]
+    """Instances rows[first:last], at world[ids[row]], of a world whose zero is origin (3,).
+
+    Both matrices in `words`, the rows of layout Instance as float32, and in column `flag` of `bits`, the same as
+    uint32, whether they are mirrored; inverse (I, 3, 3); boxes (I, 2, 3), world, of bounds (M, 2, 3) by mesh.
+    Returns how many are mirrored that were not, or the other way round.
+    """
+    turned = 0
+    for n in range(first, last):
+        k = rows[n]
+        m, inv = world[ids[k]], inverse[k]
         det = determinant(m)
+        turned += flipped[k] != (det < 0)
         flipped[k] = det < 0
+        bits[k, flag] = det < 0
         for i in range(3):
             a, b = (i + 1) % 3, (i + 2) % 3
             for j in range(3):
@@ -215,24 +244,12 @@ def place(world, bounds, mesh, first, last, words, inverse, flipped, boxes):  # 
                 middle += m[i, j] * (low + high) / 2
                 half += abs(m[i, j]) * (high - low) / 2
             boxes[k, 0, i], boxes[k, 1, i] = middle - half, middle + half
+        _positions(m, inv, origin, words[k])
+    return turned
 
 
-@kernel(
-    types.void(types.float64[:, :, ::1], types.float64[:, :, ::1], _f1, types.int64, types.int64, types.float32[:, ::1])
-)
-def rebase(world, inverse, origin, first, last, words):  # type: ignore[no-untyped-def]
-    """The positions of both matrices, for a world whose zero is origin (3,)."""
+@kernel(types.void(_f3, _i1, _f3, _f1, types.int64, types.int64, types.float32[:, ::1]))
+def rebase(world, ids, inverse, origin, first, last, words):  # type: ignore[no-untyped-def]
+    """The positions of both matrices of instances first..last-1, for a world whose zero is origin (3,)."""
     for k in range(first, last):
-        x, y, z = world[k, 0, 3] - origin[0], world[k, 1, 3] - origin[1], world[k, 2, 3] - origin[2]
-        words[k, 12], words[k, 13], words[k, 14] = x, y, z
-        for i in range(3):
-            words[k, 28 + i] = -(inverse[k, i, 0] * x + inverse[k, i, 1] * y + inverse[k, i, 2] * z)
-
-
-def words_of(rows: np.ndarray) -> F32:
-    """Rows of layout Instance as (I, floats) float32, sharing memory."""
-    assert (rows.dtype.names or ())[:2] == (
-        "world_from_object",
-        "object_from_world",
-    )  # as `place` has it: 64 bytes each
-    return rows.view(np.float32).reshape(len(rows), -1)
+        _positions(world[ids[k]], inverse[k], origin, words[k])

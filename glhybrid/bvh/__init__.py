@@ -4,9 +4,9 @@ import time
 
 from glhybrid.bvh.blas import Blas, build_blas, pack
 from glhybrid.bvh.cache import load_or_build
-from glhybrid.bvh.tlas import Tlas, build_tlas, refit_tlas
+from glhybrid.bvh.tlas import Tlas, build_tlas
 
-__all__ = ["Blas", "Tlas", "build_blas", "build_tlas", "load_or_build", "pack", "refit_tlas", "warm_up"]
+__all__ = ["Blas", "Tlas", "build_blas", "build_tlas", "load_or_build", "pack", "warm_up"]
 
 
 def warm_up() -> float:

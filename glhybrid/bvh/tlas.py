@@ -14,6 +14,9 @@ from glhybrid.scene import F32, F64, U32
 
 SMALL = 256  # up to this many instances NumPy builds a good tree while Numba would be imported,
 FEW = 8  # and up to this many it does so every frame
+# The empty child of a single instance, which must not be entered twice. In lib/bvh.glsl: back to the world's ray;
+# nothing to do for one that is there already.
+REF_RETURN = 0xFFFFFFFE
 MAX_EXTENT = 1e30  # a box past this cannot be traced in float32
 
 
@@ -33,6 +36,14 @@ class Tlas:
     def nbytes(self) -> int:
         """Bytes of its nodes, as they are uploaded."""
         return self.nodes.nbytes
+
+    def placed(self, first: int) -> U32:
+        """(N, 8) nodes for the GPU, where they lie from row `first` of all nodes on."""
+        rows = self.nodes.reshape(-1, 8).copy()
+        refs = rows[:, 3::4]
+        refs[refs == LEAF] = REF_RETURN
+        refs[refs < LEAF] += np.uint32(first)
+        return rows
 
     def stats(self) -> dict[str, Any]:
         """What a receipt reports."""
@@ -79,23 +90,8 @@ def build_tlas(boxes: F32 | F64, moving: bool = False, threads: int | None = Non
     return Tlas(tree.nodes, *grid, boxes, tree.depth, tree.cost, 1e3 * (time.perf_counter() - started))
 
 
-def refit_tlas(tlas: Tlas, boxes: F32 | F64) -> Tlas:
-    """The same tree over instances that have moved (100,000: 3 ms); its `sah_cost` says how much worse it is now.
-
-    boxes, padding and errors as in build_tlas. Two instances or more, as many as before.
-    """
-    started = time.perf_counter()
-    from glhybrid.bvh import top
-
-    boxes, grid, pad = _checked(boxes)
-    assert len(boxes) == len(tlas.boxes) > 1
-    nodes, cost = top.refitted(tlas.nodes, boxes, *grid, pad)
-    return Tlas(nodes, *grid, boxes, tlas.depth, cost, 1e3 * (time.perf_counter() - started))
-
-
-def _checked(boxes: F32 | F64) -> tuple[F64, tuple[F32, F32], float]:
-    """(I, 2, 3) float64 boxes that a tree can be built over, its grid, and by how much they are to be padded."""
-    boxes = np.ascontiguousarray(boxes, np.float64).reshape(-1, 2, 3)
+def check_boxes(boxes: F64) -> None:
+    """Raises GeometryError where there is no box (I, 2, 3), there are too many, or one cannot be traced."""
     if not len(boxes):
         raise GeometryError("no instance to build a tree from")
     if len(boxes) >= MAX_SLOTS:
@@ -105,6 +101,12 @@ def _checked(boxes: F32 | F64) -> tuple[F64, tuple[F32, F32], float]:
         bad = int(np.argmin(good))
         low, high = boxes[bad].tolist()
         raise GeometryError(f"instance {bad}: its box {low} to {high} is empty, not finite or past {MAX_EXTENT:g}")
+
+
+def _checked(boxes: F32 | F64) -> tuple[F64, tuple[F32, F32], float]:
+    """(I, 2, 3) float64 boxes that a tree can be built over, its grid, and by how much they are to be padded."""
+    boxes = np.ascontiguousarray(boxes, np.float64).reshape(-1, 2, 3)
+    check_boxes(boxes)
     low, high = boxes[:, 0].min(0), boxes[:, 1].max(0)
     pad = PAD * float(np.maximum(np.abs(low), np.abs(high)).max())
     return boxes, make_grid(low, high, pad), pad

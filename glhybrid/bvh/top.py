@@ -1,48 +1,216 @@
-"""Refit of a tree over many instances, compiled. Import it only where there are that many."""
+"""A top-level tree in motion, compiled: refitted whole, or along the paths from what has moved to the root.
+
+Import it only where something moves. The grid that boxes are rounded to stays as it is for as long as they lie in it,
+so that one that moves concerns its own leaf and what is above; it is made with room around.
+"""
 
 import numpy as np
-from numba import types
+from numba import njit, types
 
-from glhybrid.bvh.fragments import LEAF
+from glhybrid.bvh.blas import PAD
+from glhybrid.bvh.fragments import LEAF, make_grid
+from glhybrid.bvh.tlas import REF_RETURN, Tlas, check_boxes
 from glhybrid.jit import kernel
-from glhybrid.scene import F32, F64, U32
+from glhybrid.scene import F32, F64
 
-_f1, _f3 = (types.Array(types.float64, n, "C", readonly=True) for n in (1, 3))
+ROOM = 1 / 8  # of the boxes' extent, that a grid leaves on every side
+LOOK_EVERY = 64  # refits: whether the boxes still need so large a grid
+_f1, _f2, _f3 = (types.Array(types.float64, n, "C", readonly=True) for n in (1, 2, 3))
+_i1 = types.Array(types.int64, 1, "C", readonly=True)
+_nodes = types.uint32[:, ::1]
 
 
-@kernel(types.float64(_f3, _f1, _f1, types.float64, types.uint32[:, ::1]))
-def refit(boxes, grid_min, cells, pad, nodes):  # type: ignore[no-untyped-def]
-    """Boxes (I, 2, 3) into the nodes (N, 8), children before parents; returns the SAH cost, node and leaf at 1.
+@njit
+def _fit(boxes, row, zero, low, cells, words):  # type: ignore[no-untyped-def]
+    """The words of a child that is instance `row`, rounded outward as fragments.quantise does; False if it is not in
+    the grid, or nowhere. low: (2, 3), the grid's corner from zero, with the padding for lower and upper sides."""
+    for axis in range(3):
+        a = np.floor((boxes[row, 0, axis] - zero[axis] - low[0, axis]) * cells[axis] - 0.05)
+        b = np.ceil((boxes[row, 1, axis] - zero[axis] - low[1, axis]) * cells[axis] + 0.05)
+        if not (a >= 0 and b <= 65535 and a <= b):
+            return False
+        words[axis] = np.uint32(np.int64(a) | np.int64(b) << 16)
+    return True
 
-    cells: 1 / grid step. Rounded outward as fragments.quantise does.
+
+@njit
+def _join(nodes, node, words):  # type: ignore[no-untyped-def]
+    """The words of a child that is an inner node."""
+    alone = nodes[node, 7] == REF_RETURN
+    for axis in range(3):
+        left = np.int64(nodes[node, axis])
+        right = left if alone else np.int64(nodes[node, 4 + axis])
+        words[axis] = np.uint32(min(left & 65535, right & 65535) | max(left >> 16, right >> 16) << 16)
+
+
+@njit
+def _area(words, cells):  # type: ignore[no-untyped-def]
+    """Half the surface of a child's box."""
+    x = (np.int64(words[0] >> 16) - np.int64(words[0] & 65535)) / cells[0]
+    y = (np.int64(words[1] >> 16) - np.int64(words[1] & 65535)) / cells[1]
+    z = (np.int64(words[2] >> 16) - np.int64(words[2] & 65535)) / cells[2]
+    return x * y + y * z + z * x
+
+
+@njit
+def _cost(total, nodes, cells):  # type: ignore[no-untyped-def]
+    """SAH cost, node and leaf at 1, from the sum over all children."""
+    words = np.empty(3, np.uint32)
+    _join(nodes, 0, words)
+    return total / _area(words, cells) + 1
+
+
+@kernel(types.void(_nodes, types.int64, types.int64[::1], types.int64[::1]))
+def link(nodes, first, parent, leaf):  # type: ignore[no-untyped-def]
+    """Where each node (N,), and each instance (I,), is a child: 2 * node + which of the two. first: of refs."""
+    for node in range(len(nodes)):
+        for child in range(2):
+            ref = nodes[node, 4 * child + 3]
+            if ref == REF_RETURN:
+                continue
+            if ref >= LEAF:
+                leaf[(ref & np.uint32(0x7FFFFFFF)) >> np.uint32(4)] = 2 * node + child
+            else:
+                parent[ref - first] = 2 * node + child
+
+
+@kernel(types.boolean(_f3, _f1, _f2, _f1, types.int64, _nodes, types.float64[::1]))
+def sweep(boxes, zero, low, cells, first, nodes, total):  # type: ignore[no-untyped-def]
+    """Boxes (I, 2, 3) into all nodes (N, 8), children before parents; False if one is not in the grid.
+
+    cells: 1 / grid step. total: (2,), the sum over children of their half areas, and the SAH cost.
     """
-    cost = 0.0
-    side = np.empty(3)
+    words = np.empty(3, np.uint32)
+    total[0] = 0
     for node in range(len(nodes) - 1, -1, -1):
         for child in range(2):
             ref = nodes[node, 4 * child + 3]
+            if ref == REF_RETURN:
+                continue
+            if ref < LEAF:
+                _join(nodes, ref - first, words)
+            elif not _fit(boxes, (ref & np.uint32(0x7FFFFFFF)) >> np.uint32(4), zero, low, cells, words):
+                return False
             for axis in range(3):
-                if ref >= LEAF:
-                    box = boxes[(ref & np.uint32(0x7FFFFFFF)) >> np.uint32(4)]
-                    low = np.int64(np.floor((box[0, axis] - pad - grid_min[axis]) * cells[axis] - 0.05))
-                    high = np.int64(np.ceil((box[1, axis] + pad - grid_min[axis]) * cells[axis] + 0.05))
-                    low, high = max(low, np.int64(0)), min(high, np.int64(65535))
-                else:
-                    left, right = np.int64(nodes[ref, axis]), np.int64(nodes[ref, 4 + axis])
-                    low = min(left & 65535, right & 65535)
-                    high = max(left >> 16, right >> 16)
-                nodes[node, 4 * child + axis] = np.uint32(low | high << 16)
-                side[axis] = (high - low) / cells[axis]
-            cost += side[0] * side[1] + side[1] * side[2] + side[2] * side[0]
-    for axis in range(3):
-        left, right = np.int64(nodes[0, axis]), np.int64(nodes[0, 4 + axis])
-        side[axis] = (max(left >> 16, right >> 16) - min(left & 65535, right & 65535)) / cells[axis]
-    return cost / (side[0] * side[1] + side[1] * side[2] + side[2] * side[0]) + 1
+                nodes[node, 4 * child + axis] = words[axis]
+            total[0] += _area(words, cells)
+    total[1] = _cost(total[0], nodes, cells)
+    return True
 
 
-def refitted(nodes: U32, boxes: F64, grid_min: F32, grid_step: F32, pad: float) -> tuple[U32, float]:
-    """Nodes (N, 8) of the same tree over other boxes, and its SAH cost. Two instances or more."""
-    nodes = nodes.copy()
-    step = grid_step.astype(np.float64)
-    cost = refit(boxes, grid_min.astype(np.float64), 1 / step, pad, nodes)
-    return nodes, float(cost)
+@kernel(
+    types.int64(
+        _f3, _i1, _i1, _i1, _f1, _f2, _f1, _nodes, types.float64[::1], types.uint8[::1], types.int64[::1],
+    )
+)  # fmt: skip
+def climb(boxes, rows, leaf, parent, zero, low, cells, nodes, total, marks, touched):  # type: ignore[no-untyped-def]
+    """The same for instances `rows` that have moved: from each leaf up, as far as boxes change.
+
+    Returns how many nodes did, rising in `touched` (N,); -1 if an instance is not in the grid. marks: (N,) zeros.
+    """
+    words, old = np.empty(3, np.uint32), np.empty(3, np.uint32)
+    count, inside = 0, True
+    for row in rows:
+        if not _fit(boxes, row, zero, low, cells, words):
+            inside = False
+            break
+        place = leaf[row]
+        while True:
+            node, at = place >> 1, 4 * (place & 1)
+            same = True
+            for axis in range(3):
+                old[axis] = nodes[node, at + axis]
+                same &= old[axis] == words[axis]
+            if same:
+                break
+            total[0] += _area(words, cells) - _area(old, cells)
+            for axis in range(3):
+                nodes[node, at + axis] = words[axis]
+            if not marks[node]:
+                marks[node] = 1
+                touched[count] = node
+                count += 1
+            if node == 0:
+                break
+            _join(nodes, node, words)
+            place = parent[node]
+    for k in range(count):
+        marks[touched[k]] = 0
+    if not inside:
+        return -1
+    touched[:count].sort()
+    total[1] = _cost(total[0], nodes, cells)
+    return count
+
+
+@kernel(types.void(_f3, types.float64[:, ::1]))
+def extent(boxes, out):  # type: ignore[no-untyped-def]
+    """(2, 3) of all boxes."""
+    out[0], out[1] = np.inf, -np.inf
+    for row in range(len(boxes)):
+        for axis in range(3):
+            out[0, axis] = min(out[0, axis], boxes[row, 0, axis])
+            out[1, axis] = max(out[1, axis], boxes[row, 1, axis])
+
+
+class MovingTop:
+    """rows: (N, 8) uint32, the tree for the GPU, where they lie from `first` on. sah_cost: as it is now.
+
+    grid: (corner (3,) float64 in the world, step (3,) float32), another tuple whenever it changes.
+    """
+
+    def __init__(self, tree: Tlas, first: int) -> None:
+        self.built, self.rows = tree, tree.placed(first)
+        self._first, self._age = first, 0
+        self._parent = np.zeros(len(self.rows), np.int64)
+        self._leaf = np.zeros(len(tree.boxes), np.int64)
+        link(self.rows, first, self._parent, self._leaf)
+        self._marks, self._touched = np.zeros(len(self.rows), np.uint8), np.zeros(len(self.rows), np.int64)
+        self._total = np.zeros(2)
+        self._extent = np.zeros((2, 3))  # of the boxes that the grid was made for
+        self._on: tuple[F64, F64, F64] | None = None  # zero, low (2, 3), cells
+        self.grid: tuple[F64, F32] = (np.zeros(3), np.ones(3, np.float32))
+
+    @property
+    def sah_cost(self) -> float:
+        return float(self._total[1])
+
+    def refit(self, boxes: F64, moved: np.ndarray | None = None) -> np.ndarray | None:
+        """The same tree over boxes (I, 2, 3) float64, world. moved: rows of those that differ from the last call's.
+
+        Returns the rising rows that have changed; None: all may have. Raises GeometryError as build_tlas does.
+        """
+        self._age += 1
+        if self._on is None or (self._age % LOOK_EVERY == 0 and self._too_large(boxes)):
+            moved = None
+            self._lay(boxes)
+        assert self._on is not None
+        zero, low, cells = self._on
+        if moved is not None and 8 * len(moved) <= len(self.rows) + 8:
+            given = (moved, self._leaf, self._parent, zero, low, cells)
+            count = climb(boxes, *given, self.rows, self._total, self._marks, self._touched)
+            if count >= 0:
+                return self._touched[:count]
+        if not sweep(boxes, zero, low, cells, self._first, self.rows, self._total):
+            zero, low, cells = self._lay(boxes)
+            inside = sweep(boxes, zero, low, cells, self._first, self.rows, self._total)
+            assert inside
+        return None
+
+    def _too_large(self, boxes: F64) -> bool:
+        now = np.empty((2, 3))
+        extent(boxes, now)
+        return bool((now[1] - now[0]).max() < (self._extent[1] - self._extent[0]).max() / 2)
+
+    def _lay(self, boxes: F64) -> tuple[F64, F64, F64]:
+        """Another grid. Coordinates are from the middle of all: float32 tells them apart best there."""
+        check_boxes(boxes)
+        extent(boxes, self._extent)
+        low, high = self._extent
+        zero, half = (low + high) / 2, (high - low) * (0.5 + ROOM)
+        pad = PAD * float(half.max())
+        low32, step = make_grid(-half, half, pad)
+        corner = low32.astype(np.float64)
+        self.grid = corner + zero, step
+        self._on = zero, np.stack([corner + pad, corner - pad]), 1 / step.astype(np.float64)
+        return self._on

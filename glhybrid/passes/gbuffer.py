@@ -34,8 +34,8 @@ class GBufferRaster:
         }
         if features.alpha_test:
             self._programs[True] = shaders.raster("gbuffer", features.replace(sphere_proxy=False))
-        self._flipped = scene.flipped
-        batches, pairs = draws.batches(geometry, self._flipped)
+        self._turned = scene.turned
+        batches, pairs = draws.batches(geometry, scene.flipped)
         if batches:
             index = self._own(gl.buffer(np.ascontiguousarray(geometry.triangles[:, :3])))
             per_instance = self._own(gl.buffer(np.array(pairs, np.uint32)))
@@ -63,7 +63,7 @@ class GBufferRaster:
     @property
     def outdated(self) -> bool:
         """Whether other instances are mirrored than when the batches were made."""
-        return not np.array_equal(self._flipped, self._scene.flipped)
+        return self._turned != self._scene.turned
 
     def _own(self, buffer: moderngl.Buffer) -> moderngl.Buffer:
         self._owned.append(buffer)

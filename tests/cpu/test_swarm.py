@@ -8,6 +8,7 @@ import pytest
 from tree_oracle import sah_cost
 
 from glhybrid import bvh, keys, motion, pose
+from glhybrid.bvh.top import LOOK_EVERY, MovingTop
 from glhybrid.errors import GeometryError
 from glhybrid.load.shapes import box
 from glhybrid.scene import Animation, Channel, Instance, Mesh, Node, Scene, Triangles
@@ -54,22 +55,27 @@ def crowd(seed: int = 0) -> Scene:
 def test_compiled_poses_are_those_of_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = crowd()
     times = (-1.0, 0.0, 0.31, 0.5, 1.0, 1.234, 9.0)
-    found: list[list[Any]] = []
-    for many in (1, 10**9):
-        for module in (keys, motion):
-            monkeypatch.setattr(module, "MANY", many)
-        made = motion.Motion(scene, scene.animations[0])
-        player = pose.Player(scene, scene.animations[0])
-        found.append([(player.at(t), made.at(t).world_from_object) for t in times])
-    for (a, carried), (b, expected) in zip(*found, strict=True):
-        np.testing.assert_allclose(a.world, b.world, rtol=1e-12, atol=1e-10)
+    clip = scene.animations[0]
+    player, made = pose.Player(scene, clip), motion.Motion(scene, clip)
+    monkeypatch.setattr(keys, "MANY", 10**9)
+    world = made.resting()
+    for t in times:
+        want = player.at(t)  # NumPy
+        expected = np.array([i.world_from_object for i in pose.place(scene, want, player.rest).instances])
+        fresh, before = made.at(t), world.copy()
+        moment = made.at(t, world)
+        now = made._player.run(t)
+        np.testing.assert_allclose(now.world, want.world, rtol=1e-12, atol=1e-10)
+        np.testing.assert_array_equal(world, fresh.world_from_object)
+        differ = np.flatnonzero((world != before).any((1, 2)))
+        assert moment.moved is not None and np.isin(differ, moment.moved).all() and len(moment.moved) <= len(differ) + 1
         # A flattened one is given 1e-6 of its size on a side that rounding chooses.
-        np.testing.assert_allclose(carried, expected, rtol=1e-9, atol=1e-5)
-        assert (np.abs(carried - expected).max((1, 2)) > 1e-9).mean() < 0.05
-        assert a.weights.keys() == b.weights.keys() and len(a.weights) > 100
-        for node, weights in a.weights.items():
-            np.testing.assert_allclose(weights, b.weights[node], atol=1e-12)
-    at_half = found[0][3][1][3]
+        np.testing.assert_allclose(world, expected, rtol=1e-9, atol=1e-5)
+        assert (np.abs(world - expected).max((1, 2)) > 1e-9).mean() < 0.05
+        assert now.weights.keys() == want.weights.keys() and len(now.weights) > 100
+        for node, weights in now.weights.items():
+            np.testing.assert_allclose(weights, want.weights[node], atol=1e-12)
+    at_half = made.at(0.5).world_from_object[3]
     assert abs(np.linalg.det(at_half[:3, :3])) > 0  # thin, not flat: it can be inverted
 
 
@@ -93,21 +99,62 @@ def below(scene: Scene, node: int, top: int) -> bool:
     return False
 
 
+def tree_of(top: MovingTop, boxes: Any) -> bvh.Tlas:
+    """The tree as it stands, to be validated; boxes as it sees them."""
+    assert top._on is not None
+    zero = top._on[0]
+    corner = (top.grid[0] - zero).astype(np.float32)
+    return bvh.Tlas(top.rows, corner, top.grid[1], boxes - zero, top.built.depth, top.sah_cost, 0.0)
+
+
 @pytest.mark.parametrize(("count", "offset"), [(2, 0.0), (3, 5.0), (1500, 0.0), (1500, 4e5)])
 def test_a_refitted_tree_holds_everything(count: int, offset: float) -> None:
     rng = np.random.default_rng(count)
     middle, half = rng.uniform(-50, 50, (count, 3)) + offset, rng.uniform(0, 2, (count, 3))
     boxes = np.stack([middle - half, middle + half], axis=1)
-    tree = bvh.build_tlas(boxes, moving=True)
-    still = bvh.refit_tlas(tree, boxes)
-    still.validate()
-    assert still.sah_cost == pytest.approx(tree.sah_cost, rel=1e-3)
+    tree = bvh.build_tlas(boxes - offset, moving=True)
+    top = MovingTop(tree, 0)
+    assert top.refit(boxes) is None
+    tree_of(top, boxes).validate()
+    assert top.sah_cost == pytest.approx(tree.sah_cost, rel=1e-3)
     for _ in range(5):
         boxes = boxes + rng.normal(0, 10, (count, 1, 3))
-        tree = bvh.refit_tlas(tree, boxes)
-        tree.validate()
-        assert tree.sah_cost == pytest.approx(sah_cost(tree.nodes, tree.grid_step.astype(np.float64)), rel=1e-9)
-    new = bvh.build_tlas(boxes, moving=True)
-    assert tree.sah_cost >= 0.99 * new.sah_cost and (count < 9 or tree.sah_cost > 2 * new.sah_cost)
+        assert top.refit(boxes) is None
+        tree_of(top, boxes).validate()
+        assert top.sah_cost == pytest.approx(sah_cost(top.rows, top.grid[1].astype(np.float64)), rel=1e-9)
+    new = bvh.build_tlas(boxes - offset, moving=True)
+    assert top.sah_cost >= 0.99 * new.sah_cost and (count < 9 or top.sah_cost > 2 * new.sah_cost)
     with pytest.raises(GeometryError, match="instance 1"):
-        bvh.refit_tlas(tree, np.where(np.arange(count)[:, None, None] == 1, np.inf, boxes))
+        top.refit(np.where(np.arange(count)[:, None, None] == 1, np.inf, boxes))
+
+
+@pytest.mark.parametrize(("count", "first"), [(1, 0), (2, 7), (40, 1000), (1500, 123)])
+def test_a_tree_refitted_along_paths_is_the_one_refitted_whole(count: int, first: int) -> None:
+    """Node by node, on one grid; and the rows said to have changed are all that did."""
+    rng = np.random.default_rng(count)
+    middle, half = rng.uniform(-50, 50, (count, 3)), rng.uniform(0, 2, (count, 3))
+    boxes = np.stack([middle - half, middle + half], axis=1)
+    tree = bvh.build_tlas(boxes, moving=True)
+    top = MovingTop(tree, first)
+    top.refit(boxes)
+    paths = 0
+    for step in range(3 * LOOK_EVERY):
+        moved = np.sort(rng.choice(count, rng.integers(1, max(min(count // 16, 20), 1) + 1), replace=False))
+        reach = 200 if step % 10 == 9 else 3  # out of the grid, at times
+        boxes[moved] += rng.normal(0, reach, (len(moved), 1, 3))
+        before, grid = top.rows.copy(), top.grid
+        changed = top.refit(boxes, moved)
+        if changed is not None:
+            paths += 1
+            assert top.grid is grid and np.array_equal(changed, np.flatnonzero((top.rows != before).any(1)))
+        if step % 7 == 0 or changed is None:
+            whole = MovingTop(tree, first)
+            whole._on, whole.grid = top._on, top.grid
+            whole.refit(boxes)
+            np.testing.assert_array_equal(top.rows, whole.rows)
+            assert top.sah_cost == pytest.approx(whole.sah_cost, rel=1e-9, abs=1e-9, nan_ok=True)
+    assert count < 3 or paths > LOOK_EVERY
+    boxes[:] = boxes[0]  # all in one place: the grid follows
+    spread, top._age = float(top.grid[1].max()), -1
+    top.refit(boxes, np.arange(count))
+    assert count == 1 or float(top.grid[1].max()) < spread / 4

@@ -1,5 +1,6 @@
 """Thousands of rigid instances in motion: hits against Embree, what is uploaded against NumPy, and what is not touched."""
 
+from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,8 @@ import rays as ray
 from rays import Rays
 from test_motion import MovingTracer, channel
 
-from glhybrid import gpu_scene, keys, layout, motion
+from glhybrid import deform, geometry, gpu_scene, gpu_trees, layout
+from glhybrid.bvh.top import MovingTop
 from glhybrid.renderer import Renderer
 from glhybrid.scene import Animation, Camera, Instance, Light, Material, Mesh, Node, Scene
 from glhybrid.settings import Settings
@@ -70,20 +72,61 @@ def test_hits_stay_exact_while_all_move(context: "Context", rebuild: float, buil
 
 
 def test_compiled_rows_are_those_of_numpy(context: "Context", monkeypatch: pytest.MonkeyPatch) -> None:
-    found = []
-    for many in (1, 10**9):
-        for module in (keys, motion, gpu_scene):
-            monkeypatch.setattr(module, "MANY", many)
-        with MovingTracer(context, swarm()) as tracer:
-            for time in (0.3, 1.1):
-                tracer.show(time)
-            found.append((tracer.upload._instances.copy(), tracer.upload._boxes.copy(), tracer.upload.flipped))
-    (rows, boxes, flipped), (want, want_boxes, want_flipped) = found
+    """Of what was moved step by step, against a still scene of that time that NumPy places."""
+    scene = swarm(still=300)
+    with MovingTracer(context, scene) as tracer:
+        for time in (0.3, 0.31, 1.1):
+            tracer.show(time)
+        rows, boxes, flipped = tracer.upload._instances.copy(), tracer.upload._boxes.copy(), tracer.upload.flipped
+        uploaded = np.frombuffer(tracer.upload.resources["Instances"].read(), rows.dtype)
+        origin, features = tracer.origin, tracer.features
+    np.testing.assert_array_equal(uploaded, rows)
+    monkeypatch.setattr(gpu_scene, "MANY", 10**9)
+    still = deform.at_time(scene, 1.1, None)
+    oracle = gpu_scene.GpuScene(context, still, geometry.build(still, 2), features)
+    oracle.rebase(origin)
+    assert not oracle._compiled
     for name in rows.dtype.names or ():
-        np.testing.assert_allclose(rows[name], want[name], rtol=1e-5, atol=1e-5, err_msg=name)
-    np.testing.assert_allclose(boxes, want_boxes, atol=1e-9)
-    np.testing.assert_array_equal(flipped, want_flipped)
+        np.testing.assert_allclose(rows[name], oracle._instances[name], rtol=1e-5, atol=1e-5, err_msg=name)
+    np.testing.assert_allclose(boxes, oracle._boxes, atol=1e-9)
+    np.testing.assert_array_equal(flipped, oracle.flipped)
     assert 0 < flipped.sum() < COUNT
+    oracle.release()
+
+
+def test_one_of_many_costs_what_one_costs(context: "Context", monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where few move, what is written is their rows and the nodes above them; and when they stop, nothing."""
+    scene = swarm(still=COUNT - 1)
+    with MovingTracer(context, scene, rebuild=0.0) as tracer:
+        tracer.show(0.1)
+        upload, written = tracer.upload, Counter[str]()
+        assert upload.trees is not None
+        for name, buffer in (("Instances", upload.resources["Instances"]), ("nodes", upload.resources["nodes"].buffer)):
+
+            def write(data: Any, offset: int = 0, name: str = name, buffer: Any = buffer) -> None:
+                written[name] += memoryview(data).nbytes
+                type(buffer).write(buffer, data, offset=offset)
+
+            monkeypatch.setattr(buffer, "write", write)
+        tracer.mover.show(0.2)
+        upload.rebase(tracer.origin)
+        deepest = upload.trees.top.depth if upload.trees.top is not None else 0
+        assert written["Instances"] == layout.dtype("Instance").itemsize
+        assert 0 < written["nodes"] <= 32 * gpu_trees.NEAR_NODES * deepest < 32 * COUNT
+        written.clear()
+        for time in (9.0, 10.0, 11.0):  # behind the end of the clip
+            tracer.mover.show(time)
+            upload.rebase(tracer.origin)
+            if time > 9:
+                assert not written
+            written.clear()
+        monkeypatch.undo()
+        rows = np.frombuffer(upload.resources["nodes"].buffer.read(), np.uint32).reshape(-1, 8)[upload.top_root :]
+        boxes = upload._boxes
+        fresh = MovingTop(upload.trees._moving.built, upload.top_root)
+        fresh._on, fresh.grid = upload.trees._moving._on, upload.trees._moving.grid
+        fresh.refit(boxes)
+        np.testing.assert_array_equal(rows, fresh.rows)
 
 
 def test_only_what_moves_is_uploaded(context: "Context", monkeypatch: pytest.MonkeyPatch) -> None:
