@@ -1,4 +1,4 @@
-"""The command line: `glhybrid render | view | plan | bench | study | scenes | doctor`.
+"""The command line: `glhybrid render | view | plan | bench | study | scenes | settings | doctor`.
 
 Exit codes: 0 done; 1 a bench whose hits differ; 2 bad input or usage; 3 no usable OpenGL; 130 interrupted. A user's
 mistake is one line on stderr, never a traceback. Results go to stdout, everything else to stderr. Nothing heavy is
@@ -237,6 +237,28 @@ def scenes(
         width = max((len(s.name) for s in found), default=0)
         for s in found:
             print(f"{s.name:<{width}}  {s.description}")
+    return 0
+
+
+@app.command
+def settings(
+    word: Annotated[str, Parameter(help="Only what has this in it: pcf, or reflections.ray-glossy.")] = "",
+    /,
+    *,
+    json: Annotated[bool, Parameter(help="Print a JSON array.")] = False,
+) -> int:
+    """List techniques and everything else that --set and --config take, with defaults and meanings."""
+    from glhybrid.settings import rows
+
+    found = [row for row in rows() if word in f"{row.key}={row.value}"]
+    if not found:
+        raise SettingError(f'no setting or technique has "{word}" in it; glhybrid settings lists all')
+    if json:
+        console.print_json([row._asdict() for row in found])
+    else:
+        width = max(len(f"{row.key}={row.value}") for row in found)
+        for row in found:
+            print(f"{f'{row.key}={row.value}':<{width}}  {row.meaning}")
     return 0
 
 

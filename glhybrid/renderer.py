@@ -10,6 +10,7 @@ import numpy as np
 
 from glhybrid import checks, outputs, receipt, stream
 from glhybrid.context import Context, open_context
+from glhybrid.errors import DeviceError
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.image import Frame, check_aovs
 from glhybrid.readback import Ring, at_once
@@ -34,7 +35,7 @@ class Renderer:
     """
 
     def __init__(self, device: str = "auto", context: Context | None = None, interactive: bool = False) -> None:
-        self._owns_context = context is None
+        self._owns_context, self._closed = context is None, False
         self.context = context or open_context(device)
         self.shaders = Shaders(self.context)
         self._most = INTERACTIVE_STAGINGS if interactive else 1
@@ -132,6 +133,8 @@ class Renderer:
         Another size changes images alone. So do other lights and another turn of the environment change only numbers:
         a scene that differs from a staged one in these (Scene.replace) is not staged anew.
         """
+        if self._closed:
+            raise DeviceError("this Renderer is closed: draw within its `with` block, or before close()")
         checks.check_size(size)
         if scene is not self._checked():
             checks.check_scene(scene)
@@ -187,7 +190,8 @@ class Renderer:
         return len(compiled)
 
     def close(self) -> None:
-        """Frees everything. Twice is harmless."""
+        """Frees everything; what is drawn after it raises DeviceError. Twice is harmless."""
+        self._closed = True
         while self.rings:
             self.rings.pop().release()
         self._drop(0)

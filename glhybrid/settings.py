@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from glhybrid import techniques
 from glhybrid.errors import SettingError, unknown
@@ -110,7 +110,7 @@ def _shown(value: object) -> str:
 class Settings:
     """How to make the picture. Values are checked on construction: SettingError names key, value and range.
 
-    describe() says what each does. parameters: of techniques, by dotted key: `{"shadows.pcf.radius": 3}`.
+    rows() says what each does. parameters: of techniques, by dotted key: `{"shadows.pcf.radius": 3}`.
     """
 
     shadows: str = _setting("ray", "shadow technique", str)
@@ -211,10 +211,34 @@ class Settings:
 _RULES: dict[str, _Rule] = {f.name: f.metadata["rule"] for f in dataclasses.fields(Settings) if "rule" in f.metadata}
 
 
-def describe() -> dict[str, str]:
-    """Every key with what it does and takes, for help texts."""
-    rows = {name: f"{rule.help}: {rule.expects()}" for name, rule in _RULES.items()}
-    return rows | {key: f"{p.summary}: {_parameter_rule(p).expects()}" for key, p in techniques.parameters().items()}
+class Row(NamedTuple):
+    """A key, a value that it takes as text (its default, or the name of a technique), and what that does."""
+
+    key: str
+    value: str
+    meaning: str
+
+
+def rows() -> list[Row]:
+    """Every setting with its default, and every technique, each before its parameters; as `glhybrid settings` lists."""
+    found = [Row(key, _text(getattr(Settings(), key)), _meaning(rule)) for key, rule in _RULES.items()]
+    found = [row for row in found if row.key not in techniques.TECHNIQUES]
+    for kind, table in techniques.TECHNIQUES.items():
+        for technique in table.values():
+            default = " (the default)" if technique.name == getattr(Settings(), kind) else ""
+            found.append(Row(kind, technique.name, technique.summary + default))
+            found += [
+                Row(technique.key(p), _text(p.default), _meaning(_parameter_rule(p))) for p in technique.parameters
+            ]
+    return found
+
+
+def _meaning(rule: _Rule) -> str:
+    return f"{rule.help} ({rule.expects()})"
+
+
+def _text(value: object) -> str:
+    return "auto" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _parameter_rule(parameter: techniques.Parameter) -> _Rule:

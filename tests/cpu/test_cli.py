@@ -20,6 +20,7 @@ from glhybrid.errors import DeviceError, LoadError
 from glhybrid.image import AOVS, Frame
 from glhybrid.scene import Scene
 from glhybrid.settings import Settings
+from glhybrid.techniques import TECHNIQUES, parameters
 
 
 class _Recorder:
@@ -228,6 +229,26 @@ def test_scenes_and_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert code == 0 and [line.split()[0] for line in out.splitlines()] == [s["name"] for s in listed]
     code, out, _ = _run(capsys, "--version")
     assert code == 0 and out.strip() == glhybrid.__version__
+
+
+def test_every_setting_is_listed_as_set_takes_it(capsys: pytest.CaptureFixture[str]) -> None:
+    """The first word of each line is a key and a value for --set: a default, or a technique's name."""
+    code, out, _ = _run(capsys, "settings")
+    words = [line.split()[0] for line in out.splitlines()]
+    assert code == 0 and {word.partition("=")[0] for word in words} == set(Settings().to_dict()) | set(parameters())
+    chosen = [f"{kind}={name}" for kind, table in TECHNIQUES.items() for name in table]
+    assert [word for word in words if word.partition("=")[0] in TECHNIQUES] == chosen
+    for word in words:
+        made, (key, _, text) = Settings().with_overrides([word]), word.partition("=")
+        if key in TECHNIQUES:
+            assert getattr(made, key) == text
+        else:
+            given = {key: parameters()[key].default} if key in parameters() else {}
+            assert made == Settings(parameters=given)
+    code, out, _ = _run(capsys, "settings", "shadows.pcf", "--json")
+    assert code == 0 and {row["key"] for row in json.loads(out)} == {k for k in parameters() if "shadows.pcf." in k}
+    code, _, err = _run(capsys, "settings", "pfc")
+    assert code == 2 and '"pfc"' in err and err.count("\n") == 1
 
 
 def test_the_failure_library_is_listed_and_loads_by_name(capsys: pytest.CaptureFixture[str]) -> None:

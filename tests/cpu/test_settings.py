@@ -6,7 +6,7 @@ import pytest
 
 from glhybrid import techniques
 from glhybrid.errors import SettingError
-from glhybrid.settings import Settings, describe
+from glhybrid.settings import Settings, rows
 
 
 def test_defaults_are_the_documented_ones() -> None:
@@ -107,7 +107,7 @@ def test_parameters_of_techniques_are_dotted_keys(monkeypatch: pytest.MonkeyPatc
     settings = Settings().with_overrides(["shadows=pcf", "shadows.pcf.radius=3"])
     assert settings.parameter("shadows.pcf.radius") == 3.0 and Settings().parameter("shadows.pcf.radius") == 2.0
     assert Settings.from_dict(settings.to_dict()) == settings != Settings(shadows="pcf")
-    assert "shadows.pcf.radius" in describe()
+    assert ("shadows.pcf.radius", "2.0", "filter radius (a number from 0 to 64)") in rows()
     with pytest.raises(SettingError, match="from 0 to 64"):
         Settings().with_overrides(["shadows.pcf.radius=65"])
     with pytest.raises(SettingError, match=r"did you mean .shadows.pcf.radius"):

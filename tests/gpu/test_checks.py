@@ -9,7 +9,7 @@ from rays import scene_of
 from shadow_scenes import WHITE
 
 import glhybrid as gh
-from glhybrid.errors import SettingError
+from glhybrid.errors import DeviceError, SettingError
 from glhybrid.load.shapes import box
 from glhybrid.scene import Camera, Environment, Instance, Light, Mesh, Node, Probe, Scene, Skin, Sphere
 
@@ -133,3 +133,13 @@ def test_shapes_and_probes(context: "Context", renderer: gh.Renderer) -> None:
     scene = made()
     refused(renderer, scene.replace(meshes=(Mesh("ball", (Sphere(-1.0),)),)), 0, '"ball"', "radius")
     refused(renderer, scene.replace(probes=(Probe((0, 2, 0), (1, 1, 1), (-1, -1, -1)),)), 0, "probe 0", "in the box")
+
+
+def test_a_closed_renderer_says_so(context: "Context") -> None:
+    with gh.Renderer(context=context) as renderer:
+        renderer.render(made(), 0, SIZE, SETTINGS)
+        shots = renderer.frames(made(), [gh.Shot(), gh.Shot()], SIZE, SETTINGS)
+    for use in (lambda: renderer.render(made(), 0, SIZE, SETTINGS), lambda: next(shots)):
+        with pytest.raises(DeviceError, match="this Renderer is closed"):
+            use()
+    renderer.close()
