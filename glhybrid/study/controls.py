@@ -239,6 +239,19 @@ class RunningMean(Subject):
         return frames
 
 
+class Clamped(Subject):
+    """The mean of frames of one ray along the lobe, each cut off where it is brighter than LIMIT: no specks."""
+
+    LIMIT, FRAMES = 10.0, 16
+
+    def frame(self, *aovs: str, camera: int | Camera = 0, scene: Scene | None = None, **changes: Any) -> Frame:
+        key = "reflections.ray-glossy."
+        raw = {"reflections": "ray-glossy", f"{key}samples": 1, f"{key}denoise": False, f"{key}sky_rays": False}
+        film = Subject(self.renderer, self.case, self.settings.replace(**raw)).film([None] * self.FRAMES, scene)
+        shown = np.mean([np.minimum(f, self.LIMIT) for f in film], axis=0)
+        return Frame(developed(shown), {"radiance": shown})
+
+
 def _enters(corners: F64, origin: F64, direction: F64) -> Any:
     """(R,) whether rays meet the box around some triangles."""
     low, high = corners.min((0, 1)), corners.max((0, 1))
@@ -249,6 +262,7 @@ def _enters(corners: F64, origin: F64, direction: F64) -> Any:
 
 
 CONTROLS: dict[str, type[Subject]] = {
+    "clamped": Clamped,
     "depth-rebuilt": DepthRebuilt,
     "fixed-epsilon": FixedEpsilon,
     "fresnel-only": FresnelOnly,
