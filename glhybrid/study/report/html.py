@@ -4,11 +4,14 @@ import base64
 import io
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from glhybrid import __version__, techniques
+from glhybrid.bvh.blas import threads_available
 from glhybrid.image import replacing
 from glhybrid.study.report import charts, findings, sizes, tables
 from glhybrid.study.report.axis import shown
@@ -214,11 +217,11 @@ def _compare(name: str, rows: Sequence[Row]) -> str:
 
 def _strip(name: str, about: Row, rows: Sequence[Row], output: Path) -> str:
     folder = output / name
-    figures = [
-        _figure("reference", f"{about['reference']['samples']:,} paths a pixel", folder, {"png": "reference.png"})
-    ]
+    shots = [("reference", f"{about['reference']['samples']:,} paths a pixel", {"png": "reference.png"})]
     for row in sorted(_pictured(rows), key=lambda r: r["flip"]):
-        figures.append(_figure(row["label"], f"FLIP {shown(row['flip'])}", folder, row["images"]))
+        shots.append((row["label"], f"FLIP {shown(row['flip'])}", row["images"]))
+    with ThreadPoolExecutor(threads_available()) as pool:
+        figures = list(pool.map(lambda shot: _figure(shot[0], shot[1], folder, shot[2]), shots))
     return (
         "<h3>Pictures, and where they are wrong</h3>"
         '<p class="soft">Below each picture its FLIP map: 0 <span class="scale"></span> 1. '
@@ -240,7 +243,12 @@ def _figure(label: str, says: str, folder: Path, images: dict[str, str]) -> str:
 
 
 def embedded(path: Path, widest: int = WIDEST) -> str:
-    """An image file as a data URI: WebP, at most `widest` pixels wide."""
+    """An image file as a data URI: WebP, at most `widest` pixels wide. Known again: a study writes its page often."""
+    return _embedded(path, path.stat().st_mtime_ns, widest)
+
+
+@lru_cache(maxsize=4096)
+def _embedded(path: Path, _mtime_ns: int, widest: int) -> str:
     from PIL import Image
 
     with Image.open(path) as image:
@@ -302,10 +310,13 @@ def _failures(study: "Study", output: Path) -> str:
     )
     names = ("case", "technique", "measure", "value", "expected", "verdict")
     head = "".join(f"<th class='text'><button>{name}</button></th>" for name in names)
+    pictured = [f for f in study.failures if f.get("image")]
+    with ThreadPoolExecutor(threads_available()) as pool:
+        drawn = dict(zip(map(id, pictured), pool.map(lambda f: _failed(f, output / "failures"), pictured), strict=True))
     gallery = []
     for case in dict.fromkeys(f["case"] for f in study.failures):
         rows = [f for f in study.failures if f["case"] == case]
-        figures = "".join(_failed(f, output / "failures") for f in rows if f.get("image"))
+        figures = "".join(drawn[id(f)] for f in rows if f.get("image"))
         if figures:
             title, why = escape(str(rows[0].get("title", case))), escape(str(rows[0].get("why", "")))
             gallery.append(f"<h3>{title}</h3><p class='soft'>{why}</p><div class='strip'>{figures}</div>")
