@@ -171,7 +171,7 @@ class _Tracer:
         self, context: Context, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings,
         map_: Lightmap,
     ) -> None:  # fmt: skip
-        gl, self._scene, self._map = context.gl, scene, map_
+        gl, self._scene, self._map, self._write = context.gl, scene, map_, context.write
         centre = np.round(scene.scene.bounds().mean(0))
         scene.rebase(centre)
         constants = np.zeros(1, layout.dtype("FrameConstants"))
@@ -200,7 +200,7 @@ class _Tracer:
     def _load(self, rows: np.ndarray) -> None:
         map_ = self._map
         bary = np.ascontiguousarray(map_.bary[rows], np.float32).view(np.uint32)
-        self._buffers["BakeTexels"].write(np.column_stack([map_.instance[rows], map_.triangle[rows], bary]))
+        self._write(self._buffers["BakeTexels"], np.column_stack([map_.instance[rows], map_.triangle[rows], bary]))
 
     def _read(self, name: str, count: int) -> F32:
         return np.frombuffer(self._buffers[name].read(16 * count), np.float32).reshape(-1, 4)
@@ -222,10 +222,10 @@ class _Tracer:
         """(N, 2) uint32 over all texels: a bit for each of these lights that arrives, and that their fronts face away
         from."""
         found, program = np.zeros((len(points), 2), np.uint32), self._compute("baked_hard")
-        self._buffers["BakeLights"].write(np.array(lights, np.uint32))
+        self._write(self._buffers["BakeLights"], np.array(lights, np.uint32))
         for part in _parts(np.arange(len(points))):
             self._load(part)
-            self._buffers["BakePoints"].write(np.ascontiguousarray(points[part]))
+            self._write(self._buffers["BakePoints"], np.ascontiguousarray(points[part]))
             for first in range(0, len(lights), RAYS_AT_ONCE):
                 end = min(first + RAYS_AT_ONCE, len(lights))
                 self._dispatch(program, len(part), bake_first=first, bake_end=end)
@@ -243,7 +243,7 @@ class _Tracer:
         done = 0
         for part in _parts(rows):
             self._load(part)
-            self._buffers["BakePoints"].write(np.ascontiguousarray(points[part]))
+            self._write(self._buffers["BakePoints"], np.ascontiguousarray(points[part]))
             for sample in range(first, end, RAYS_AT_ONCE):
                 self._dispatch(
                     program, len(part), bake_light=light, bake_first=sample,

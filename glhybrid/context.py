@@ -80,6 +80,7 @@ class Limits:
 
     storage_block_bytes: int
     storage_blocks: int  # in one compute shader
+    storage_bindings: int  # of all programs together
     storage_alignment_bytes: int
     texture_buffer_texels: int
     texture_buffer_alignment_bytes: int
@@ -106,6 +107,7 @@ class Limits:
 _LIMITS = {
     "storage_block_bytes": (0x90DE, 1 << 24),
     "storage_blocks": (0x90DB, 8),
+    "storage_bindings": (0x90DD, 8),
     "storage_alignment_bytes": (0x90DF, 1),
     "texture_buffer_texels": (0x8C2B, 1 << 16),
     "texture_buffer_alignment_bytes": (0x919F, 1),
@@ -137,13 +139,27 @@ class Context:
             self.gl: moderngl.Context = moderngl.create_context(require=430, standalone=True, **settings)
             self.limits = _limits(self.raw)
             _require(self.limits, self.device)
-            self.bindings = Bindings(min(self.limits.storage_blocks, MOST_BLOCKS), TEXTURES, self.limits.image_units)
+            blocks = min(self.limits.storage_bindings, MOST_BLOCKS)
+            self.bindings = Bindings(blocks, TEXTURES, self.limits.image_units)
             _canary(self.gl, self.device)
         except Exception as error:
             native.release()
             if isinstance(error, DeviceError):
                 raise
             raise DeviceError(f"moderngl cannot use this context: {error}") from error
+
+    def write(self, buffer: moderngl.Buffer, data: Any, offset: int = 0) -> None:
+        """Bytes into a buffer that shaders read as a storage block or a texture, in their turn among dispatches.
+
+        glBufferSubData alone is not enough on NVIDIA (580, H100): once another buffer has taken the binding point, it
+        writes at once, and dispatches on their way read what was meant for later ones. A buffer that is bound anywhere
+        waits its turn.
+        """
+        if not self.device.software:
+            last = len(self.bindings.blocks.bound) - 1
+            buffer.mglo.bind_to_storage_buffer(last, 0, -1)
+            self.bindings.blocks.bound[last] = buffer
+        buffer.write(data, offset)
 
     def make_current(self) -> None:
         """Makes this the calling thread's context; needed only where a process has several."""

@@ -19,7 +19,7 @@ class FrameConstants:
 
     def __init__(self, context: Context, scene: Scene, settings: Settings) -> None:
         self.rows = np.zeros(1, layout.dtype("FrameConstants"))
-        self.buffer = context.gl.buffer(reserve=self.rows.nbytes)
+        self.buffer, self._write = context.gl.buffer(reserve=self.rows.nbytes), context.write
         # reshape: a scalar's view is an array of one, which can be written to.
         self._views = {
             name: self.rows[name][0] if self.rows[name].ndim > 1 else self.rows[name]
@@ -54,7 +54,7 @@ class FrameConstants:
 
     def upload(self) -> None:
         """Sends all fields as they are."""
-        self.buffer.write(self.rows)
+        self._write(self.buffer, self.rows)
 
     def choose_lights(self, first: int, end: int) -> None:
         """Which lights the next dispatch is for: first..end-1."""

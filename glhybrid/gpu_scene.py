@@ -126,7 +126,7 @@ class GpuScene:
         largest = motion.largest if motion is not None else 0
         on_gpu = builds_on_gpu(rebuild, builder, self._context.device.software, largest)
         given = (deforming, motion is not None, rebuild, self.scene.name, on_gpu)
-        self.trees = GpuTrees(self._texels, geometry, boxes, *given)
+        self.trees = GpuTrees(self._texels, self._context.write, geometry, boxes, *given)
         if geometry.meshes:
             mesh, rows = geometry.instance_mesh, self._instances
             rows["grid_min"] = np.stack([m.blas.grid_min for m in geometry.meshes])[mesh]
@@ -183,16 +183,16 @@ class GpuScene:
         if self._previous is not None:
             before = self._previous[:, :3].copy()
             before[:, :, 3] -= origin
-            self.resources["PreviousInstances"].write(layout.columns(before))
+            self._context.write(self.resources["PreviousInstances"], layout.columns(before))
         if not same:
             self._origin, self._zero = origin, np.array(origin, np.float64)
             self._rebase()
-            self.resources["Instances"].write(rows)
+            self._context.write(self.resources["Instances"], rows)
         elif self._unsent is not None and len(self._unsent):
             for first, last in runs(self._unsent, NEAR_ROWS, MOST_WRITES):
-                self.resources["Instances"].write(rows[first:last], offset=first * size)
+                self._context.write(self.resources["Instances"], rows[first:last], first * size)
         if self.lights and (self._dark or not same):
-            self.resources["Lights"].write(light_rows(self.lights, origin))
+            self._context.write(self.resources["Lights"], light_rows(self.lights, origin))
         self._unsent, self._dark = None, False
 
     def _rebase(self) -> None:

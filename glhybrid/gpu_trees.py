@@ -27,7 +27,7 @@ EMPTY_TREE = np.array([[0, 0, 0, 0x80000000, 0, 0, 0, 0x80000000]], np.uint32)
 
 
 class GpuTrees:
-    """Owns no GL object: `texels` uploads rows (N, 4 k) uint32 under a name, for whoever frees them.
+    """Owns no GL object: `texels` uploads rows (N, 4 k) uint32 under a name, for whoever frees them; write: Context's.
 
     boxes: (I, 2, 3) float64, world, of the instances, for a top-level tree; None: there is one mesh and no such tree.
     deforming: rows of geometry.meshes whose trees may be built anew, and have room for it; on_gpu: that is where.
@@ -37,6 +37,7 @@ class GpuTrees:
     def __init__(
         self,
         texels: Callable[[str, U32], BufferTexture],
+        write: Callable[..., None],
         geometry: Geometry,
         boxes: F64 | None,
         deforming: set[int],
@@ -45,7 +46,7 @@ class GpuTrees:
         name: str,
         on_gpu: bool = False,
     ) -> None:
-        self._geometry, self._name, self._rebuild, self.on_gpu = geometry, name, rebuild, on_gpu
+        self._geometry, self._name, self._rebuild, self.on_gpu, self._write = geometry, name, rebuild, on_gpu, write
         blases = [m.blas for m in geometry.meshes]
         self._depth = [b.depth for b in blases]
         room = {row: len(blases[row].slots) for row in deforming if row >= 0}
@@ -128,12 +129,12 @@ class GpuTrees:
             tree = MovingTop(self.top, self.top_root)
             changed = tree.refit(boxes)
         self._moving, self.grid = tree, tree.grid
-        rows, write = tree.rows, self._nodes.buffer.write
+        rows, nodes = tree.rows, self._nodes.buffer
         if changed is None:
-            write(rows, offset=self.top_root * 32)
+            self._write(nodes, rows, self.top_root * 32)
         elif len(changed):
             for first, last in runs(changed, NEAR_NODES, MOST_WRITES):
-                write(rows[first:last], offset=(self.top_root + first) * 32)
+                self._write(nodes, rows[first:last], (self.top_root + first) * 32)
 
     def top_grid(self, origin: F64) -> tuple[F64, F64]:
         """(grid_min, grid_step) of the top-level tree in the world rebased on origin."""
@@ -162,8 +163,8 @@ class GpuTrees:
         refs += np.where(refs < LEAF, np.uint32(root), np.uint32(slot << 4))
         slots[:, 3] += np.uint32(self._geometry.meshes[mesh].first_triangle)
         slots[:, 7] = self._slot_words[mesh][slots[:, 7]]
-        self._nodes.buffer.write(nodes, offset=root * 32)
-        self._slots.buffer.write(slots, offset=slot * 48)
+        self._write(self._nodes.buffer, nodes, root * 32)
+        self._write(self._slots.buffer, slots, slot * 48)
         self._depth[mesh] = blas.depth
 
 

@@ -158,7 +158,7 @@ class Tracer:
         }  # fmt: skip
         for field, value in values.items():
             structure.constants[0][field] = value
-        structure.frame.write(structure.constants)
+        self.context.write(structure.frame, structure.constants)
         width, height = (-(-side // 8) for side in view.size)
         target = self.context.gl.buffer(reserve=width * height * 64 * 32)
         stack = max(ROOMY_STACK, structure.features.bvh_stack)

@@ -19,7 +19,7 @@ class Display:
 
     def __init__(self, context: Context, shaders: Shaders, constants: FrameConstants) -> None:
         self._program = shaders.compute("display", Features())
-        self._exposure = context.gl.buffer(reserve=16)
+        self._exposure, self._write = context.gl.buffer(reserve=16), context.write
         self._shaders, self._constants = shaders, constants
         self._measure: Program | None = None  # compiled where exposure = auto asks for it
         self._given: float | None = None  # EV in the buffer, if it was not measured
@@ -38,7 +38,7 @@ class Display:
         """What encoding needs, under a given exposure."""
         given = self._constants.exposure_ev
         if given is not None and given != self._given:
-            self._exposure.write(np.float32(given).tobytes())
+            self._write(self._exposure, np.float32(given).tobytes())
         self._given = given
         return {"Frame": self._constants.buffer, "Exposure": self._exposure, "out_display": targets.get("display")}
 

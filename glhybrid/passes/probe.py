@@ -119,7 +119,7 @@ class Probe:
             )
             row["fade"] = self._fade(probe)
         if len(rows):
-            self.resources["Probes"].write(rows)
+            self._context.write(self.resources["Probes"], rows)
 
     def timed(self, work: Callable[[], None]) -> None:
         """Runs work() and notes its milliseconds in `ms`, from finish() to finish()."""

@@ -35,7 +35,7 @@ class Refit:
         self, context: Context, shaders: Shaders, scene: GpuScene, meshes: list[int], features: Features, rebuild: float
     ) -> None:
         assert scene.trees is not None
-        self._gl, self._scene, self._held = context.gl, scene, scene.trees
+        self._scene, self._held, self._write = scene, scene.trees, context.write
         self.meshes = meshes
         self._rebuild = rebuild
         blases = [scene.geometry.meshes[m].blas for m in meshes]
@@ -48,7 +48,7 @@ class Refit:
         self._trees["node_count"] = [len(b.nodes) for b in blases]
         self._room = room = [self._held.node_capacity(m) for m in meshes]
         self._trees["entry_first"] = np.cumsum([0, *room[:-1]])
-        self._tree_buffer = self._gl.buffer(reserve=self._trees.nbytes)
+        self._tree_buffer = context.gl.buffer(reserve=self._trees.nbytes)
         resources: dict[str, Any] = {name: scene.resources[key].buffer for name, key in (
             ("Triangles", "triangles"), ("Vertices", "vertices"), ("Nodes", "nodes"), ("Slots", "slots"))}  # fmt: skip
         resources["RefitTrees"] = self._tree_buffer
@@ -72,7 +72,7 @@ class Refit:
             moved[mesh] = MovedTree(grid_min, grid_step, shape.bounds)
         if self._builder is not None:
             self._trees["axes"] = key_axes(self._trees["grid_step"], self._builder.key_bits)
-        self._tree_buffer.write(self._trees)
+        self._write(self._tree_buffer, self._trees)
         if self._rebuild == 1:
             return moved | self._build(range(len(self.meshes)))
         self.refit()
@@ -90,7 +90,7 @@ class Refit:
     def sah_cost(self, mesh: int) -> float:
         """Of the tree as it stands on the GPU, in the terms of Blas.sah_cost. Waits for it."""
         self._cost = self._cost or self._make_cost()
-        self._tree_buffer.write(self._trees)  # they may have been built since
+        self._write(self._tree_buffer, self._trees)  # they may have been built since
         return at_once(self._cost.readings()[self.meshes.index(mesh)])
 
     @property

@@ -59,7 +59,7 @@ class Levels:
     ) -> None:  # fmt: skip
         self._program = shaders.compute("refit", features)
         self._trees, self._blases = trees, dict[int, Blas]()
-        self._order = context.gl.buffer(reserve=8 * room)
+        self._order, self._write = context.gl.buffer(reserve=8 * room), context.write
         self._levels: list[tuple[int, int]] = []
         self.resources = {**resources, "RefitOrder": self._order}
 
@@ -73,7 +73,7 @@ class Levels:
         parts = [np.concatenate(levels[depth]) for depth in sorted(levels, reverse=True)]
         ends = np.cumsum([len(p) for p in parts])
         self._levels = [(int(end) - len(p), len(p)) for p, end in zip(parts, ends, strict=True)]
-        self._order.write(np.concatenate(parts))
+        self._write(self._order, np.concatenate(parts))
 
     def run(self) -> None:
         for first, count in self._levels:
@@ -103,7 +103,7 @@ class Climb:
     ) -> None:  # fmt: skip
         self._program = shaders.compute("refit_climb", features)
         self._trees, self._room = trees, room
-        self._nodes = context.gl.buffer(reserve=8 * room)
+        self._nodes, self._write = context.gl.buffer(reserve=8 * room), context.write
         self._arrived = context.gl.buffer(bytes(4 * room))
         self.resources = {**resources, "RefitNodes": self._nodes, "Arrived": self._arrived, "refit_total": room}
 
@@ -112,7 +112,7 @@ class Climb:
         for tree, blas in blases.items():
             rows = np.full((ends[tree + 1] - ends[tree], 2), (CONSTANTS["ID_NONE"], tree), np.uint32)
             rows[: len(blas.nodes), 0] = parents_of(blas.nodes, int(self._trees["node_first"][tree]))
-            self._nodes.write(rows, offset=8 * ends[tree])
+            self._write(self._nodes, rows, 8 * ends[tree])
 
     def run(self) -> None:
         size = min(self._room, 65536), -(-self._room // 65536)

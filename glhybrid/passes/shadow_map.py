@@ -123,7 +123,7 @@ class ShadowMap:
                     self._culled[batch, k] = first, len(some)
                     first += len(some)
                 if first:
-                    buffer.write(np.concatenate(rows))
+                    self._context.write(buffer, np.concatenate(rows))
 
     @property
     def bytes(self) -> int:
@@ -144,8 +144,8 @@ class ShadowMap:
         self._maps, self._follow = maps, shadow_fit.following(self._scene.lights, lights, len(maps))
         self._choose(view.origin, moving is not None)
         self._tiles = maps["corner"] // self._fit.resolution @ (1, self._across)
-        self.resources["ShadowMaps"].write(maps)
-        self.resources["ShadowLights"].write(lights)
+        self._context.write(self.resources["ShadowMaps"], maps)
+        self._context.write(self.resources["ShadowLights"], lights)
 
     def draw(self) -> None:
         """Depth of every map whose tile does not hold it, or that follows the camera, into its tile."""

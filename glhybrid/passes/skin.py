@@ -23,17 +23,17 @@ class Skin:
     name = "skin"
 
     def __init__(self, context: Context, shaders: Shaders, scene: GpuScene, motion: Motion, features: Features) -> None:
-        self._gl = context.gl
+        gl, self._write = context.gl, context.write
         self._program = shaders.compute("skin", features)
         self.meshes = [scene.mesh_of_instance(d.instances[0]) for d in motion.deformers]
         tables = _Tables(scene, motion, features, self.meshes)
         self._pieces, self._deformer = tables.pieces, tables.deformer
         self._joint_first, self._total = tables.joint_first, int(tables.vertices)
         self._owned = {
-            "RestVertices": self._gl.buffer(tables.rest), "Influences": self._gl.buffer(tables.influences),
-            "Deltas": self._gl.buffer(tables.deltas), "SkinPieces": self._gl.buffer(reserve=tables.pieces.nbytes),
-            "Morphs": self._gl.buffer(reserve=max(tables.targets, 1) * layout.dtype("Morph").itemsize),
-            "Joints": self._gl.buffer(reserve=tables.joint_count * layout.dtype("Joint").itemsize),
+            "RestVertices": gl.buffer(tables.rest), "Influences": gl.buffer(tables.influences),
+            "Deltas": gl.buffer(tables.deltas), "SkinPieces": gl.buffer(reserve=tables.pieces.nbytes),
+            "Morphs": gl.buffer(reserve=max(tables.targets, 1) * layout.dtype("Morph").itemsize),
+            "Joints": gl.buffer(reserve=tables.joint_count * layout.dtype("Joint").itemsize),
         }  # fmt: skip
         self._resources: dict[str, Any] = dict(self._owned) | {
             "VerticesOut": scene.resources["vertices"].buffer, "vertex_total": self._total,
@@ -53,9 +53,9 @@ class Skin:
             morphs["weight"][start : start + len(rows)] = shape.weights[rows]
         for piece, deformer in zip(self._pieces, self._deformer, strict=True):
             piece["morph_first"], piece["morph_count"] = starts[deformer], len(active[deformer])
-        self._owned["Joints"].write(joints)
-        self._owned["Morphs"].write(morphs)
-        self._owned["SkinPieces"].write(self._pieces)
+        self._write(self._owned["Joints"], joints)
+        self._write(self._owned["Morphs"], morphs)
+        self._write(self._owned["SkinPieces"], self._pieces)
         self._program.dispatch(self._resources, (min(self._total, 65536), -(-self._total // 65536)), (64, 1))
 
     @property

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 from glhybrid import context as contexts
@@ -299,3 +300,42 @@ def test_doctor_survives_a_driver_that_crashes(monkeypatch: pytest.MonkeyPatch, 
     probes = doctor._probes(_HEALTHY)
     assert [(p.name, p.ok) for p in probes] == [("egl:0", False)]
     assert "crashed (SIGSEGV)" in probes[0].error and probes[0].fix
+
+
+_READ = """#version 430
+layout(local_size_x = 64) in;
+layout(std430, binding = 0) readonly buffer Given { uint given[]; };
+layout(std430, binding = 1) buffer Seen { uint seen[]; };
+uniform int turn;
+void main() {
+    uint busy = gl_GlobalInvocationID.x;
+    for (int i = 0; i < 300; i++) busy = busy * 1664525u + 1013904223u;
+    if (busy != 1u) seen[turn] = given[0];
+}
+"""
+_TAKE = """#version 430
+layout(local_size_x = 1) in;
+layout(std430, binding = 0) buffer Other { uint other[]; };
+void main() { other[0] += 1u; }
+"""
+
+
+def test_what_is_written_waits_its_turn(context: Context) -> None:
+    """Without the binding in Context.write, an H100 shows a dispatch what was written for one six turns later."""
+    turns = 64
+    read, take = context.gl.compute_shader(_READ), context.gl.compute_shader(_TAKE)
+    given, seen, other = (context.gl.buffer(reserve=4 * n) for n in (44, turns, 1))
+    for turn in range(turns):
+        other.bind_to_storage_buffer(0)  # so that nothing says that `given` is still being read
+        take.run()
+        context.gl.memory_barrier()
+        context.write(given, np.full(44, 1000 + turn, np.uint32))
+        given.bind_to_storage_buffer(0)
+        seen.bind_to_storage_buffer(1)
+        read["turn"] = turn
+        read.run(64)
+        context.gl.memory_barrier()
+    np.testing.assert_array_equal(np.frombuffer(seen.read(), np.uint32), 1000 + np.arange(turns))
+    for made in (read, take, given, seen, other):
+        made.release()
+    context.bindings.forget()

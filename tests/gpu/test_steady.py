@@ -170,8 +170,9 @@ def test_what_a_steady_frame_calls(
     assert calls.c["Program.run"] == dispatches and calls.c["Context.memory_barrier"] <= dispatches
     assert calls.c["Buffer.write"] == 1
     blocks = {key: count for key, count in calls.bound.items() if "storage" in key[0]}
-    assert set(blocks.values()) == {1} and len(blocks) == 6 + (kernels == "joined"), blocks
-    assert sum(calls.bound.values()) - len(blocks) <= images, calls.bound
+    written = 0 if renderer.context.device.software else 1  # bound once more, for Context.write
+    assert len(blocks) == 6 + (kernels == "joined") and sum(blocks.values()) == len(blocks) + written, blocks
+    assert sum(calls.bound.values()) - sum(blocks.values()) <= images, calls.bound
     assert calls.python <= 1.1 * python and sum(calls.c.values()) <= 1.1 * c, (calls.python, calls.c)
 
     one_frame(staged, camera)
