@@ -4,6 +4,9 @@ const float PI = 3.14159265358979;
 float max3(vec3 v) { return max(v.x, max(v.y, v.z)); }
 float min3(vec3 v) { return min(v.x, min(v.y, v.z)); }
 float square(float x) { return x * x; }
+// A share as an 8-bit image keeps it, to the same step everywhere: drivers may store either neighbour (OpenGL 4.6, 2.3.5).
+float in_8_bits(float x) { return floor(x * 255.0 + 0.5) / 255.0; }
+bool between_in_8_bits(float x) { return abs(floor(x * 255.0 + 0.5) - 127.5) < 127.0; }   // neither 0 nor 1
 vec2 square2(vec2 x) { return x * x; }
 float pow5(float x) { float x2 = x * x; return x2 * x2 * x; }
 vec3 fresnel_schlick(vec3 f0, float f90, float cos_theta) { return f0 + (vec3(f90) - f0) * pow5(clamp(1.0 - cos_theta, 0.0, 1.0)); }

@@ -55,9 +55,10 @@ void main() {
         LightSample l = light_at(light_row(i), q.position);
         vec3 visibility = vec3(0.0);
         if (arrives(l) && dot(q.n_geo, l.dir) > 0.0 && !unlit) visibility = lightmap_visibility(at, i);
+        if (!BLENDED) visibility = vec3(in_8_bits(visibility.x));
         imageStore(out_visibility, ivec3(px, i), vec4(visibility, 1.0));
 #if USE_REASON_SHADOWS
-        bool border = abs(round(visibility.x * 255.0) - 127.5) < 127.0;    // as the image keeps it
+        bool border = between_in_8_bits(visibility.x);
         if (coarse && border && light_row(i).size == 0.0) reason = REASON_COARSE;
 #endif
     }

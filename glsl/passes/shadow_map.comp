@@ -26,7 +26,7 @@ uint map_reason(Point p, vec3 dir, uint light, float lit, float pixel) {
     ShadowMap map = shadow_maps[k];
     Receiver r = receiver_on(map, p, dir);
     float unit = from_point(map) ? r.depth : 1.0, texel = max(map.texel.x, map.texel.y), size = light_row(light).size;
-    bool border = abs(round(lit * 255.0) - 127.5) < 127.0;                 // as the image keeps it
+    bool border = between_in_8_bits(lit);
     if (MAP_FILTER == int(FILTER_PCSS) && size > 0.0) {
         float widest = cone_width(map, light_row(light), r.depth, from_point(map) ? size : 0.0);
         return border && widest > map_search * texel ? REASON_SEARCH : REASON_NONE;
@@ -64,7 +64,7 @@ void main() {
     for (uint i = frame.light_first; i < frame.light_end; i++) {
         LightSample l = light_at(light_row(i), s.point.position);
         vec3 visibility = vec3(0.0);
-        if (arrives(l) && faces(s, l.dir)) visibility = vec3(map_visibility(s.point, l.dir, i));
+        if (arrives(l) && faces(s, l.dir)) visibility = vec3(in_8_bits(map_visibility(s.point, l.dir, i)));
         imageStore(out_visibility, ivec3(px, i), vec4(visibility, 1.0));
 #if USE_REASON_SHADOWS
         uint why = REASON_NONE;
