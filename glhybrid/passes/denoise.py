@@ -96,7 +96,7 @@ class Denoise:
         temporal.dispatch(resources, targets.size)
         resources["history"], resources["out_signal"] = get("history"), image
         level.dispatch(resources | {"filtered": ping, "out_level": get("level")}, targets.size)
-        resources["level"] = get("level")
+        resources |= {"level": get("level"), "counts": get("counts")}
         count = self._parameter(signal, "iterations")
         for i in range(count):
             resources |= {"filtered": ping, "out_filtered": pong, "stride": 1 << i}

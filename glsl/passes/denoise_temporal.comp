@@ -31,6 +31,9 @@ struct Near { float mean, variance, extent, distance, nearest, worth; };
 
 bool has_signal(vec4 s) { return IS_VISIBILITY ? s.a >= 0.0 : s.a > 0.0; }
 
+// How many random samples would be as good: those over a disc are so even that their error goes by n^-3/4.
+float as_random(float n) { return USE_DENOISE_SIGNAL == SIGNAL_VISIBILITY ? n * sqrt(n) : n; }
+
 vec2 noise_of(ivec2 px, vec4 s) {
 #if USE_DENOISE_SIGNAL >= 3
     float m = luminance(s.rgb);
@@ -119,7 +122,7 @@ Past look_back(ivec2 px, Guide g, Near near) {
             past.mean = texelFetch(history, AT(px), 0);
             past.samples = texelFetch(counts, AT(px), 0).x;
             past.level = about.x;
-            past.variance = about.y * near.worth * past.samples;
+            past.variance = about.y * near.worth * as_random(past.samples);
         }
         return past;
     }
@@ -153,7 +156,7 @@ Past look_back(ivec2 px, Guide g, Near near) {
         past.mean += w * texelFetch(history, AT(q), 0);
         past.samples += w * count;
         past.level += w * about.x;
-        past.variance += w * about.y * near.worth * count;
+        past.variance += w * about.y * near.worth * as_random(count);
         weight += w;
     }
     if (weight < 0.01) return Past(vec4(0.0), 0.0, 0.0, 0.0, 0.0);
@@ -167,7 +170,7 @@ Past look_back(ivec2 px, Guide g, Near near) {
 // History that this frame's samples contradict is moved to what they allow, and counts for less. What is compared are means
 // about the pixel: its own past is as noisy as it is young.
 void hold(inout Past past, Near near, float frame_samples) {
-    float chance = max(near.variance, past.variance) * (1.0 / frame_samples + 1.0 / past.samples) / near.worth;
+    float chance = max(near.variance, past.variance) * (1.0 / as_random(frame_samples) + 1.0 / as_random(past.samples)) / near.worth;
     float allowed = 3.0 * sqrt(chance) + 1e-3 * near.mean;
     float off = abs(past.level - near.mean);
     if (off <= allowed) return;
@@ -208,7 +211,7 @@ void main() {
         float now = n.y / count;
         mean.rgb = mix(past.mean.rgb, s.rgb, now);
         mean.a = past.samples > 0.0 && past.mean.a > 0.0 && near.extent > 0.0 ? mix(past.mean.a, near.extent, now) : max(near.extent, past.mean.a);
-        filtered = vec4(mean.rgb, mix(past.variance, near.variance, now) / count);
+        filtered = vec4(mean.rgb, mix(past.variance, near.variance, now) / as_random(count));
     }
     imageStore(out_history, AT(px), mean);
     imageStore(out_counts, AT(px), vec4(count));
