@@ -30,7 +30,7 @@ const float LEVEL_DEVIATIONS = 4.0;
 const float KERNEL[2] = float[](0.5, 0.25);
 #else
 const int REACH = 2;
-const float LEVEL_DEVIATIONS = USE_DENOISE_SIGNAL == SIGNAL_VISIBILITY ? 3.0 : 2.0;
+const float LEVEL_DEVIATIONS = USE_DENOISE_SIGNAL == SIGNAL_VISIBILITY ? 4.0 : 2.0;
 const float KERNEL[3] = float[](0.375, 0.25, 0.0625);    // cubic B-spline
 #endif
 

@@ -5,6 +5,9 @@
 // ch. 49), and history held to the interval that this frame's samples about the pixel allow: what is gone does not linger.
 #include "lib/denoise.glsl"
 #include "lib/tile.glsl"
+#if USE_DENOISE_SIGNAL == 3
+#include "lib/light.glsl"
+#endif
 
 uniform SIGNAL_SAMPLER signal;           // mean of this frame's samples; a: distance or half width, see below
 #if USE_DENOISE_SIGNAL < 3
@@ -112,6 +115,23 @@ struct Past { vec4 mean; float level, variance, samples, drift; };
 
 const float DRIFT = 1.0;
 
+#if USE_DENOISE_SIGNAL == 3
+const float RESAMPLED = 2.0;
+
+// Each look between pixels of the frame before blurs what is kept of a penumbra a little more. How much: squares of steps of
+// a pixel to the right and up, on the surface, across the way to the light, over that of the length over which it changes.
+float resampled(vec2 f, Guide g, float extent) {
+    vec3 v = toward_eye(g), l = light_at(lights[layer], g.position).dir;
+    float sum = 0.0;
+    for (int i = 0; i < 2; i++) {
+        vec3 d = normalize(i == 0 ? frame.right_ws : frame.up_ws);
+        d -= v * (dot(g.n, d) / max(dot(g.n, v), 0.05));
+        sum += f[i] * (1.0 - f[i]) * (dot(d, d) - square(dot(d, l)));
+    }
+    return extent > 0.0 ? RESAMPLED * sum * square(pixel_width(g.depth) / extent) : 0.0;
+}
+#endif
+
 Past look_back(ivec2 px, Guide g, Near near) {
     Past past = Past(vec4(0.0), 0.0, 0.0, 0.0, 0.0);
     if (frame.history == HISTORY_NONE) return past;
@@ -164,6 +184,9 @@ Past look_back(ivec2 px, Guide g, Near near) {
     past.level /= weight;
     past.samples /= weight;
     past.variance /= weight;
+#if USE_DENOISE_SIGNAL == 3
+    past.drift = resampled(f, g, near.extent > 0.0 ? near.extent : past.mean.a);
+#endif
     return past;
 }
 
@@ -206,7 +229,7 @@ void main() {
         s.rgb = reused.mean;
         n.y = reused.worth;
 #endif
-        past.samples = min(past.samples, max(frames_of(past.drift, n.y) - 1.0, 0.0) * n.y);
+        past.samples = min(past.samples, max(frames_of(past.drift, as_random(n.y)) - 1.0, 0.0) * n.y);
         count = past.samples + n.y;
         float now = n.y / count;
         mean.rgb = mix(past.mean.rgb, s.rgb, now);

@@ -1,0 +1,75 @@
+"""The filter of `ray-soft` where penumbras are narrower than pixels: it may not be worse than none, at rest or in motion."""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from scene_kit import box, floor, matte, scene, sun
+
+from glhybrid.scene import Camera, Light, Scene, Sphere
+from glhybrid.settings import Settings
+from glhybrid.timing import Timing
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from glhybrid.renderer import Renderer
+
+    F64 = NDArray[np.float64]
+
+SIZE = (128, 96)
+HIDDEN = 0.02  # light of the sky, as a share of the mean: without it HDR-FLIP looks at shadows 2^20 times as bright
+
+
+def fence(orthographic: bool = False) -> Scene:
+    """Posts and a ball under a sun of a degree and a small lamp: penumbras of 0 to 3 pixels."""
+    rng = np.random.default_rng(3)
+    parts: list[Any] = [(floor(4.0), matte(0.8)), (Sphere(0.3), matte(0.6), (0.7, 0.5, 0.4))]
+    for x in np.linspace(-1.8, 1.8, 10):
+        z = rng.uniform(-1.0, 0.6)
+        parts.append((box((x, 0, z), (x + 0.12, 0.9, z + 0.1)), matte(0.5)))
+    lights = [
+        replace(sun((-0.6, -1.0, -0.4)), angular_diameter=0.03),
+        Light("point", (1.0, 0.7, 0.4), 5.0, position=(1.5, 2.0, -1.0), radius=0.09),
+    ]
+    camera = Camera.look_at((2.0, 2.2, 3.0), (0, 0.3, 0), fov_y=np.radians(55))
+    return scene(parts, replace(camera, fov_y=0.0, ymag=1.7) if orthographic else camera, lights=lights)
+
+
+def film(renderer: "Renderer", world: Scene, samples: int, denoise: bool, frames: int, step: float) -> "F64":
+    """The last frame's radiance; the camera goes `step` m a frame to its right, and ends where the scene has it."""
+    parameters = {"shadows.ray-soft.samples": samples, "shadows.ray-soft.denoise": denoise}
+    settings = Settings(shadows="ray-soft", reflections="none", aa=1, parameters=parameters)
+    last = world.cameras[0]
+    for k in range(frames):
+        pose = last.world_from_view.copy()
+        pose[:3, 3] -= (frames - 1 - k) * step * pose[:3, 0]
+        staged = renderer.stage(world, settings, SIZE)
+        if k == 0:
+            staged.cut()
+        if k == 0 or step:
+            staged.aim(settings, replace(last, world_from_view=pose))
+        staged.set(jitter_px=(0, 0), accumulate=0)
+        image = staged.frame(Timing(renderer.context.gl.finish, enabled=False))
+    rows = np.frombuffer(image.read(), np.float32).reshape(image.height, image.width, 4)
+    return rows[::-1, :, :3].astype(np.float64)
+
+
+def flip(got: "F64", want: "F64") -> float:
+    """Mean HDR-FLIP, the light of the sky added."""
+    evaluator = pytest.importorskip("flip_evaluator")
+    pair = [np.ascontiguousarray(x + HIDDEN * want.mean(), np.float32) for x in (want, got)]
+    return float(evaluator.evaluate(*pair, "HDR")[1])
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_narrow_penumbras(renderer: "Renderer", orthographic: bool) -> None:
+    """Of one frame, of eight at rest and of eight in motion; a filter of two pixels at least is 3 to 20 times worse."""
+    world = fence(orthographic)
+    want = film(renderer, world, 512, False, 1, 0.0)
+    for samples in (1, 4, 16):
+        for frames, step in ((1, 0.0), (8, 0.0), (8, 0.013)):
+            raw, got = (film(renderer, world, samples, denoise, frames, step) for denoise in (False, True))
+            found = flip(got, want) / flip(raw, want), np.abs(got - want).mean() / np.abs(raw - want).mean()
+            assert max(found) < (0.7 if frames > 1 and not step else 1.03), (samples, frames, step, found)
