@@ -46,6 +46,8 @@ PARTS: tuple[Column, ...] = (
 )
 SHARES = ("flicker", "flicker_p99")  # shown in %
 LEAST_SHARE = 1e-3  # %: less is rounding of float32
+PIXELS = ("reflected_error_px", "reflected_error_px_p95")
+LEAST_PX = 1e-3  # likewise
 
 
 def cells(rows: Sequence[Row], clock: str, reference: Row) -> str:
@@ -92,6 +94,8 @@ def _cell(row: Row, key: str) -> str:
         return '<td data-value=""></td>'
     if key == "bytes":
         value = value / 2**20
+    if key in PIXELS and value < LEAST_PX:
+        value = 0.0
     if key == "bias_percent":
         return f'<td data-value="{value:.9g}">{bias(row)}</td>'
     if key in SHARES:
@@ -105,9 +109,9 @@ def bias(row: Row) -> str:
     """ "+8.1 ± 0.2", both to the digit that the second has; what is surer than a hundredth has no second."""
     value, error = row["bias_percent"], row.get("bias_error_percent") or 0.0
     if error < 0.005:
-        return f"{value:+.2f}"
+        return f"{value:+.2f}".replace("-", "−")
     digits = max(0, -math.floor(math.log10(error)))
-    return f"{value:+.{digits}f} ± {error:.{digits}f}"
+    return f"{value:+.{digits}f} ± {error:.{digits}f}".replace("-", "−")
 
 
 def paper(found: Row, clock: str, files: dict[str, str]) -> str:
@@ -237,7 +241,7 @@ def peers(found: Sequence[Row], clock: str, output: Path, embedded: Callable[[Pa
         figures.append(f"<figure>{pictures}<figcaption><b>{escape(row['renderer'])}</b>, {about}</figcaption></figure>")
     return (
         '<section id="peers"><h2>Other renderers</h2><p>The same scene and camera in other programs, against the same '
-        "reference. They are not wrong by what they model otherwise; the last column says what that is.</p>"
+        "reference. What they model otherwise is not wrong for that; the last column says what it is.</p>"
         '<div class="wide"><table><thead><tr><th>scene</th><th class="text">renderer</th><th>picture, ms</th><th>FLIP</th>'
         '<th>relative MSE</th><th>bias, %</th><th class="text">differences</th></tr></thead>'
         f'<tbody>{body}</tbody></table></div><div class="strip">{"".join(figures)}</div></section>'
