@@ -36,6 +36,7 @@ PARTS = 16
 BATCH, LARGEST_BATCH = 4, 64  # paths a pixel of a part, before all are looked at: they double
 LOOK_SHARE = 4.0  # times as long as a look at its noise takes it is worked on before the next
 FLIP_POWER = 2.0  # paths grow by it as the noise falls
+LOOK_PIXELS, BAND = 300_000, 32  # that a look is at, in bands of so many rows
 LEAST = 64  # paths a pixel, whatever the time: fewer tell nothing apart
 
 
@@ -150,6 +151,13 @@ def converge(
     )  # fmt: skip
 
 
+def _pictures(sums: F32, count: int) -> tuple[Any, Any]:
+    """Of sums of `count` paths a pixel: the whole, and a picture one standard deviation away from it."""
+    whole = mean_of_means(sums).astype(np.float64) / count
+    a, b = (mean_of_means(sums[half::2]) / count for half in range(2))
+    return whole, np.maximum(whole + (a - b) / 2, 0)
+
+
 class _Parts:
     """Sums of independent estimates, each of `count` paths a pixel."""
 
@@ -172,15 +180,20 @@ class _Parts:
     def pictures(self) -> tuple[Any, Any]:
         """The whole, and a picture one standard deviation away from it."""
         if self._known is None or self._known[0] != self.batches:  # seconds, where pictures are large
-            whole = mean_of_means(self.sums).astype(np.float64) / self.count
-            a, b = (mean_of_means(self.sums[half::2]) / self.count for half in range(2))
-            self._known = self.batches, whole, np.maximum(whole + (a - b) / 2, 0)
+            self._known = self.batches, *_pictures(self.sums, self.count)
         return self._known[1:]
 
     def noise_flip(self) -> float:
+        """Of bands of rows all over the picture, LOOK_PIXELS of it: FLIP takes seconds for two million."""
         if not self.count:
             return math.inf
-        whole, off = self.pictures()
+        height, width = self.sums.shape[1:3]
+        every = max(round(height * width / LOOK_PIXELS), 1)
+        rows = np.flatnonzero(np.arange(height) // BAND % every == every // 2)
+        if every == 1 or not len(rows):
+            whole, off = self.pictures()
+        else:
+            whole, off = _pictures(self.sums[:, rows], self.count)
         return float(picture.flip_map(off.astype(np.float32), whole.astype(np.float32)).mean())
 
     def light(self, counted: Mask | None = None) -> picture.AllLight:

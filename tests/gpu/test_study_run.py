@@ -262,7 +262,7 @@ def test_bad_input_is_refused_before_work(tmp_path: Path, monkeypatch: pytest.Mo
         run.run(("stage",), tmp_path / "file", load=lambda _: stage())
 
 
-def test_the_reference_knows_its_noise(renderer: gh.Renderer, tmp_path: Path) -> None:
+def test_the_reference_knows_its_noise(renderer: gh.Renderer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its expected error is the real one, measured against a picture of many more paths; and it goes on from disk."""
     scene = stage().replace(lights=())  # a sun in a glossy box is found by one path in thousands: no halves tell of it
     few = reference.converge(renderer, scene, CAMERA, SIZE, bounces=2, target=0.0, most=16, folder=tmp_path)
@@ -270,7 +270,10 @@ def test_the_reference_knows_its_noise(renderer: gh.Renderer, tmp_path: Path) ->
     assert many.samples >= 512 and many.noise_flip < few.noise_flip / 2
     real = float(reference.picture.flip_map(few.radiance, many.radiance).mean())
     assert 0.6 < real / few.noise_flip < 1.6
+    monkeypatch.setattr(reference, "LOOK_PIXELS", SIZE[0] * SIZE[1] // 3)
+    monkeypatch.setattr(reference, "BAND", 4)
     again = reference.converge(renderer, scene, CAMERA, SIZE, bounces=2, target=0.0, most=512, folder=tmp_path)
+    assert 0 < abs(again.noise_flip / many.noise_flip - 1) < 0.1, "of a third of the rows"
     assert np.array_equal(again.radiance, many.radiance) and again.samples == many.samples
     for path in tmp_path.glob("*.npz"):
         path.write_bytes(path.read_bytes()[:1000])
