@@ -79,7 +79,7 @@ class Passes:
             self.reflect = Glossy(context, shaders, scene, features, settings, plan.split)
             constants.put(emissive_weight=self.reflect.emissive_weight)
         elif features.reflections and features.reflect_grid:
-            self.reflect = ReflectSparse(context, shaders, scene, features, settings)
+            self.reflect = ReflectSparse(context, shaders, scene, features, settings, plan.split)
         elif features.reflections:
             self.reflect = Reflect(shaders, scene, features, plan.split)
 
@@ -113,7 +113,11 @@ class Passes:
             timed(denoise.name, lambda: denoise.begin(targets, ids))
         if shadow is not None and visibility is None:
             choose, wait = self._constants.choose_lights, {}
-            if isinstance(shadow, Shadow) and isinstance(reflect, Reflect) and denoise is None and occlusion is None:
+            if (
+                isinstance(shadow, Shadow)
+                and isinstance(reflect, Reflect | ReflectSparse)
+                and not (denoise or occlusion)
+            ):
                 wait = {"wait": False}  # a GPU begins with the mirror rays while the last of these are on their way
             visibility = timed(shadow.name, lambda: shadow.run(targets, ids, choose, **wait))
             if denoise is not None:

@@ -363,10 +363,7 @@ CHANNELS: dict[str, Channel] = {
         Channel("occlusion_rays", 4, "f4", "rgba32f", "the same thrice; how far away what occludes is, < 0 no ray"),
         Channel("occlusion_raw", 1, "f4", "r32f", "the same before its filter"),
         Channel("reflection", 4, "f4", "rgba32f", "radiance along the mirror direction, distance to what is seen"),
-        Channel("reflection_sparse", 4, "f4", "rgba32f", "the same, of the pixels that a grid sends rays for"),
-        Channel(
-            "reflection_guide", 4, "u4", "rgba32ui", "mirror direction, distance of the surface (0 = no ray), REASON_*"
-        ),
+        Channel("reflection_guide", 4, "u4", "rgba32ui", "of a pixel a cell: what others must know to share its ray"),
         Channel("screen_plane", 4, "f4", "rgba32f", "screen depth, its change along x and y, whether anything is seen"),
         Channel("screen_nearest", 1, "f4", "r32f", "pyramid over the planes: nearest screen depth"),
         Channel("screen_span", 2, "f4", "rg32f", "pyramid over the planes: nearest and farthest screen depth"),

@@ -236,7 +236,11 @@ _ALL = (
                 sweep=("half", "checkerboard"),
             ),
             Parameter(
-                "contrast", 0.1, "share by which two rays may differ for a pixel between them to send none", 0.0, 1.0
+                "contrast",
+                0.1,
+                "share of what a pixel shows by which rays beside it may differ for it to send none",
+                0.0,
+                1.0,
             ),
         ),
     ),

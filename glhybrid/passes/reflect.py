@@ -21,6 +21,14 @@ def handed_on(features: Features) -> tuple[str, ...]:
     return ("mirror_hit", "mirror_ray", *(name for name, needed in optional.items() if needed))
 
 
+def programs(features: Features, split: bool) -> tuple[str, ...]:
+    """Stems of what runs one after another for one mirror ray."""
+    if not split:
+        return ("reflect",)
+    apart = features.shadow_bits and not features.mirror_shadows
+    return ("reflect_ray", *["reflect_shadow"] * apart, "reflect_shade")
+
+
 class Reflect:
     """The mirror ray of every pixel that sends one, in one program or in parts. Owns nothing."""
 
@@ -33,11 +41,8 @@ class Reflect:
     @cached_property
     def _programs(self) -> list[Program]:
         """But for the last one of a split reflection."""
-        features, stems = self._features, ["reflect"]
-        if self._split:
-            apart = features.shadow_bits and not features.mirror_shadows
-            stems = ["reflect_ray", *["reflect_shadow"] * apart]
-        return [self._shaders.compute(stem, features) for stem in stems]
+        stems = programs(self._features, self._split)
+        return [self._shaders.compute(stem, self._features) for stem in (stems[:-1] if self._split else stems)]
 
     @cached_property
     def _shade(self) -> Program:

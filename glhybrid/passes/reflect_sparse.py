@@ -1,9 +1,10 @@
 """Mirror rays for a part of the pixels, and for those between them only where the neighbours do not tell -> reflection.
 
 `half` sends a ray for one pixel in four, `checkerboard` for one in two. A pixel between two that sent one takes their
-mean if its own ray would lie midway between theirs and both see about the same (`contrast`); all others are put on a
-list on the GPU and traced by an indirect dispatch, so nothing is read back. What is lost: things in the reflection that
-are thinner than the distance between rays.
+mean if its own ray would lie midway between theirs and the picture could not tell what they see apart (`contrast`, a
+share of all that the pixel shows); all others are put on a list on the GPU and traced by indirect dispatches of the
+same programs, so nothing is read back. What is lost: things in the reflection that are thinner than the distance
+between rays.
 """
 
 from typing import Any
@@ -14,23 +15,32 @@ from glhybrid.context import Context
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.layout import CONSTANTS
 from glhybrid.needs import Features
+from glhybrid.passes.reflect import handed_on, programs
 from glhybrid.settings import Settings
 from glhybrid.shaders import Shaders
 from glhybrid.targets import Targets
 
 
 class ReflectSparse:
-    """Owns the list of pixels that need a ray of their own, and their number."""
+    """In one program or in parts, as `reflect`. Owns the list of pixels that need rays of their own, and its length."""
 
     name = "reflect"
 
     def __init__(
-        self, context: Context, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings
+        self,
+        context: Context,
+        shaders: Shaders,
+        scene: GpuScene,
+        features: Features,
+        settings: Settings,
+        split: bool = False,
     ) -> None:
         self._gl, self._scene, self._features = context.gl, scene, features
-        self._sparse = shaders.compute("reflect_sparse", features)
+        stems, listed = programs(features, split), features.replace(pixel_list=True)
+        self._grid = [shaders.compute(stem, features) for stem in stems]
         self._resolve = shaders.compute("reflect_resolve", features)
-        self._rest = shaders.compute("reflect_sparse", features.replace(pixel_list=True))
+        self._rest = [shaders.compute(stem, listed) for stem in stems]
+        self._images = handed_on(features) if split else ()
         self._contrast = settings.parameter("reflections.ray-lerp.contrast")
         self._count = context.gl.buffer(reserve=16)
         self._list: moderngl.Buffer | None = None
@@ -43,18 +53,18 @@ class ReflectSparse:
             self._list = self._gl.buffer(reserve=4 * width * height)
         half = self._features.reflect_grid == CONSTANTS["GRID_HALF"]
         cells = (-(-width // 2), -(-height // 2) if half else height)
-        reflection = targets.get("reflection")
-        sparse, guide = (targets.get(name, size=cells) for name in ("reflection_sparse", "reflection_guide"))
+        reflection, guide = targets.get("reflection"), targets.get("reflection_guide", size=cells)
         given = {
             **self._scene.resources, "gbuffer_id": ids, "PixelCount": self._count, "PixelList": self._list,
-            "out_sparse": sparse, "sparse": sparse, "out_guide": guide, "guide": guide,
-            "out_reflection": reflection, "contrast": self._contrast,
+            "out_guide": guide, "guide": guide, "out_reflection": reflection, "contrast": self._contrast,
         }  # fmt: skip
+        given |= {name: targets.get(name) for name in self._images}
         if self._features.reason:
             given["out_reason"] = targets.get("reason")
-        self._sparse.dispatch(given, cells)
-        self._resolve.dispatch(given, targets.size)
-        self._rest.dispatch_indirect(given, self._count)
+        for program in (*self._grid, self._resolve):
+            program.dispatch(given, cells)
+        for program in self._rest:
+            program.dispatch_indirect(given, self._count)
         return {"reflection": reflection}
 
     def _release_list(self) -> None:

@@ -1,0 +1,31 @@
+// lib/mirror_guide.glsl -- what pixels between must know of a mirror ray, to share what it sees (passes/reflect_resolve.comp).
+#include "lib/gbuffer.glsl"
+#include "lib/mirror_pixel.glsl"
+#include "lib/shade.glsl"
+
+const bool GUIDES = bool(USE_REFLECT_GRID) && !bool(USE_PIXEL_LIST);
+#if USE_REFLECT_GRID && !USE_PIXEL_LIST
+layout(rgba32ui) writeonly restrict uniform uimage2D out_guide;
+#endif
+
+// direction, distance of the surface that it leaves, `beside`.
+uvec4 guide_of(Pixel p, Surface s, vec3 dir) {
+    // The share of what the ray sees that the pixel shows, and at least so much that it shows beside it: in that, errors of the
+    // reflection go under. Weights as in indirect_light.
+    Bsdf b = s.bsdf;
+    vec3 share = specular_albedo(b, -p.ray.dir) * (is_mirror(b) ? 1.0 : 1.0 - b.roughness), rest = diffuse_sky(s);
+    if (CLEARCOAT && b.clearcoat > 0.0) {
+        float f = coat_fresnel(b, -p.ray.dir);
+        share = share * (1.0 - f) + f * (1.0 - b.clearcoat_roughness);
+        rest *= 1.0 - f;
+    }
+    float beside = luminance(rest + s.emissive) / max(max3(share), 1e-4);
+    return uvec4(packUnorm2x16(oct_encode(dir)), floatBitsToUint(p.hit.t), floatBitsToUint(beside), s.material);
+}
+
+// All 0: no ray.
+void store_guide(ivec2 px, uvec4 guide) {
+#if USE_REFLECT_GRID && !USE_PIXEL_LIST
+    imageStore(out_guide, cell_of(px), guide);
+#endif
+}
