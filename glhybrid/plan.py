@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from glhybrid import needs, techniques
 from glhybrid.deform import at_time
 from glhybrid.errors import SettingError
+from glhybrid.layout import CONSTANTS
 from glhybrid.levels import builds_on_gpu, choose_levels
 from glhybrid.motion import Motion, wanted
 from glhybrid.needs import Features
@@ -88,6 +89,8 @@ def make(
         features = features.replace(mirror_shadows=features.shadow_bits and plain, mirror_hits=hits)
         parts = "a program of rays and one of shading" if features.mirror_shadows else "programs of rays and of shading"
         reasons.append(f"reflections run as {parts}: a GPU keeps more rays in flight beside less shading code")
+    if features.reflect_grid:
+        reasons.append(_shared(features, settings))
     joined = kernels in ("auto", "joined") and _joins(features, settings, len(scene.lights))
     joined = joined and (kernels == "joined" or not (features.two_level or features.spheres))
     features = features.replace(encodes=kernels in ("auto", "joined"))
@@ -123,6 +126,16 @@ def make(
     passes.append("display")
     passes = _joined(passes) if joined and primary == "trace" else passes
     return Plan(features, levels, trees, primary, split, joined, tuple(passes), tuple(reasons), tuple(skipped))
+
+
+def _shared(features: Features, settings: Settings) -> str:
+    """What becomes of mirror rays that only a part of the pixels send."""
+    part = "four" if features.reflect_grid == CONSTANTS["GRID_HALF"] else "two"
+    contrast = settings.parameter("reflections.ray-lerp.contrast")
+    return (
+        f"mirror rays leave one pixel in {part}, and those between where the picture would change by more than"
+        f" {100 * contrast:g} %: things thinner than that grid may be missing from reflections"
+    )
 
 
 def _sends_rays(features: Features, settings: Settings) -> bool:

@@ -110,9 +110,10 @@ def test_without_tolerance_it_is_a_ray_for_each(
         assert same(renderer, got[name], want[name]), name
 
 
-@pytest.mark.parametrize(("grid", "most_rays", "most_error"), [("half", 0.5, 0.001), ("checkerboard", 0.7, 0.001)])
+@pytest.mark.parametrize(("grid", "most_rays", "most_error"), [("half", 0.5, 0.0005), ("checkerboard", 0.7, 0.0005)])
 def test_fewer_rays_and_what_they_cost(renderer: gh.Renderer, grid: str, most_rays: float, most_error: float) -> None:
-    """The error against a ray for each, of all the radiance reflected; measured 0.0001 for both on llvmpipe.
+    """The error of the picture against a ray for each, of all its radiance; measured 0.00005 and 0.00003 on
+    llvmpipe.
 
     The bar is ten times that: what is lost is features thinner than two pixels, and rounding may move their outlines.
     """
@@ -121,13 +122,15 @@ def test_fewer_rays_and_what_they_cost(renderer: gh.Renderer, grid: str, most_ra
     got = render(renderer, made, grid, size=size)
     sent = rays_sent(renderer, grid, size)
     mirrors = int((want["reflection_hit"] > 0).sum())
-    error = np.abs(got["reflection"] - want["reflection"])
-    share = error.sum() / want["reflection"].sum()
-    print(f"{grid}: {sent} rays for {mirrors} pixels, error {share:.5f}, {(error.max(-1) > 1e-3).mean():.4f} of pixels")
+    error = np.abs(got["radiance"] - want["radiance"])
+    share = error.sum() / want["radiance"].sum()
+    off = (error.max(-1) > 0.1 * want["radiance"].max(-1)).mean()
+    print(f"{grid}: {sent} rays for {mirrors} pixels, error {share:.5f}, {off:.5f} of pixels by more than contrast")
     exact = of_the_grid(grid, size)
     own, each = got["reflection"][exact], want["reflection"][exact]
     assert same(renderer, own, each), "a pixel with a ray of its own differs"
     assert sent < most_rays * size[0] * size[1] and share < most_error
+    assert off < 0.002
     assert error.any(), "nothing was shared: this test would not see a fault"
     assert (got["reason"] == want["reason"]).mean() > 0.98
 
@@ -140,17 +143,55 @@ def test_more_contrast_fewer_rays(renderer: gh.Renderer) -> None:
     assert sent == sorted(sent, reverse=True) and sent[0] > 1.3 * sent[-1]
 
 
+def test_what_hardly_shows_is_shared(renderer: gh.Renderer) -> None:
+    """The same sky with detail in a floor: a mirror needs rays where it differs, matt plaster shows next to nothing of it."""
+    made, sent = scene(), []
+    for metallic, roughness in ((1.0, 0.0), (0.0, 0.3), (0.0, 0.8)):
+        floor = Material(metallic=metallic, roughness=roughness, double_sided=True)
+        only = made.replace(materials=(floor, *made.materials[1:]), instances=made.instances[:1])
+        render(renderer, only, "half")
+        sent.append(rays_sent(renderer, "half", SIZE))
+    print(sent)
+    assert sent == sorted(sent, reverse=True) and sent[0] > 1.2 * sent[-1]
+
+
+def test_another_material_needs_its_own_ray(renderer: gh.Renderer) -> None:
+    """Tilted mirrors a pixel wide in a plaster wall: what plaster shares does not do for them."""
+    names = ("reflection_hit", "reflection", "material_id", "radiance")
+    wall = box(size=(40, 40, 0.2))
+    wire = box(size=(40, 0.14, 0.01))
+    tilt = np.eye(4)
+    tilt[1:3, 1:3] = [[0.9, -0.43589], [0.43589, 0.9]]
+    poses = [moved((0, 0, -0.1)), *(moved((0, -3.2 + 0.31 * k, 0.0)) @ tilt for k in range(20))]
+    materials = (Material(roughness=0.9), Material(metallic=1.0, roughness=0.0))
+    made = scene_of(wall, *[wire] * 20, poses=poses, materials=materials)
+    made = made.replace(
+        instances=tuple(replace(i, materials=(min(k, 1),)) for k, i in enumerate(made.instances)),
+        environment=scene().environment,
+    )
+    look = replace(Camera.look_at((0, 0, 5), (0, 0, 0)), fov_y=0.0, ymag=2.5)
+    found = {}
+    for grid in ("full", "half"):
+        parameters = {"reflections.ray-lerp.resolution": grid, "reflections.ray-lerp.contrast": 1.0}
+        settings = gh.Settings(aa=1, exposure=0.0, parameters=parameters)
+        found[grid] = renderer.render(made, look, SIZE, settings, names)
+    mirrors = found["full"]["material_id"] == 1
+    assert 0.2 < mirrors.mean() < 0.7
+    for name in ("radiance", "reflection"):
+        assert np.allclose(found["half"][name][mirrors], found["full"][name][mirrors], 1e-3, 1e-3), name
+
+
 def test_full_resolution_has_none_of_it(context: "Context") -> None:
     with gh.Renderer(context=context) as fresh:
         plain = render(fresh, scene()).receipt["plan"]
         images = set(fresh._staged.targets._images)  # type: ignore[union-attr]
-        assert not any("sparse" in name or "resolve" in name for name in (*plain["programs"], *images))
+        assert not any("GRID" in name or "resolve" in name for name in (*plain["programs"], *images))
         assert "reflection_guide" not in images
         less = render(fresh, scene(), "half").receipt["plan"]
         cells = (SIZE[0] + 1) // 2 * ((SIZE[1] + 1) // 2)
-        handed_on = 28 * SIZE[0] * SIZE[1] * any(p.startswith("reflect_ray") for p in plain["programs"])
-        assert less["image_bytes"] - plain["image_bytes"] + handed_on == 32 * cells
-        assert not any(p.startswith("reflect ") for p in set(less["programs"]) - set(plain["programs"]))
+        assert less["image_bytes"] - plain["image_bytes"] == 16 * cells
+        more = set(less["programs"]) - set(plain["programs"])
+        assert more and all("GRID" in name for name in more)
 
 
 def test_another_size_after_the_first(renderer: gh.Renderer) -> None:
