@@ -126,6 +126,8 @@ def _cell(value: object) -> str:
         return f"{value:,}"
     if isinstance(value, float):
         return f"{value:.4g}"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{_cell(key)}: {_cell(v)}" for key, v in value.items())
     if isinstance(value, (list, tuple)):
         words = [str(v) for v in value]
         return escape(("\n" if any(" " in word for word in words) else ", ").join(words))
