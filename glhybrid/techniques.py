@@ -1,7 +1,4 @@
-"""The registry of techniques: one set of names for the command line, the API, TOML, EXR layers and charts.
-
-A technique that a later version brings is listed too, so that asking for it says so instead of "unknown".
-"""
+"""The registry of techniques: one set of names for the command line, the API, TOML, EXR layers and charts."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -35,7 +32,6 @@ class Technique:
     kind: Kind
     name: str
     summary: str
-    implemented: bool = False
     stochastic: bool = False
     traced: bool = False  # needs the tree
     depth_maps: bool = False
@@ -81,12 +77,11 @@ _FILTER = (
 _PLANE = Parameter("receiver_plane", True, "each tap is compared with the depth of the receiver's plane there")
 
 _ALL = (
-    Technique("shadows", "none", "every light reaches every surface", implemented=True),
+    Technique("shadows", "none", "every light reaches every surface"),
     Technique(
         "shadows",
         "map",
         "depth map from the light, one tap",
-        implemented=True,
         depth_maps=True,
         parameters=_depth_map(),
     ),
@@ -94,7 +89,6 @@ _ALL = (
         "shadows",
         "pcf",
         "depth map, filtered over a fixed width",
-        implemented=True,
         depth_maps=True,
         parameters=_depth_map(
             Parameter("kernel", "box", "box: all texels, exact; disc: turned Vogel disc", choices=("box", "disc")),
@@ -107,7 +101,6 @@ _ALL = (
         "shadows",
         "pcss",
         "depth map, filtered over a width from the blocker's distance",
-        implemented=True,
         depth_maps=True,
         parameters=_depth_map(
             Parameter("blockers", 32, "taps of the search for blockers", 1, 256),
@@ -121,7 +114,6 @@ _ALL = (
         "shadows",
         "csm",
         "cascaded depth maps for the sun",
-        implemented=True,
         depth_maps=True,
         parameters=_depth_map(
             Parameter("cascades", 4, "maps of a directional light; the last is of the whole scene", 1, 8),
@@ -137,7 +129,6 @@ _ALL = (
         "shadows",
         "baked",
         "lightmap in its own UV set, traced once; static scenes",
-        implemented=True,
         traced=True,
         light_maps=True,
         parameters=(
@@ -160,12 +151,11 @@ _ALL = (
             ),
         ),
     ),
-    Technique("shadows", "ray", "one any-hit ray per pixel and light", implemented=True, traced=True),
+    Technique("shadows", "ray", "one any-hit ray per pixel and light", traced=True),
     Technique(
         "shadows",
         "ray-soft",
         "rays to the disc of every light that has a size",
-        implemented=True,
         stochastic=True,
         traced=True,
         parameters=(
@@ -174,13 +164,12 @@ _ALL = (
             *_FILTER,
         ),
     ),
-    Technique("reflections", "none", "no reflected light but the lights' highlights", implemented=True),
-    Technique("reflections", "env", "prefiltered environment, without occlusion", implemented=True),
+    Technique("reflections", "none", "no reflected light but the lights' highlights"),
+    Technique("reflections", "env", "prefiltered environment, without occlusion"),
     Technique(
         "reflections",
         "probe",
         "box-projected local cube maps, captured in place",
-        implemented=True,
         mirror_pass="probe",
         parameters=(
             _CUTOFF,
@@ -202,7 +191,6 @@ _ALL = (
         "reflections",
         "ssr",
         "march in the G-buffer, environment where it fails",
-        implemented=True,
         mirror_pass="ssr",
         parameters=(
             _CUTOFF,
@@ -216,7 +204,6 @@ _ALL = (
         "reflections",
         "ray-lerp",
         "one mirror ray, its hit lit with its own shadow ray, mixed by roughness with the blurred sky",
-        implemented=True,
         traced=True,
         mirror_pass="reflect",
         parameters=(
@@ -248,7 +235,6 @@ _ALL = (
         "reflections",
         "ssr-ray",
         "screen space first, a ray where that fails",
-        implemented=True,
         traced=True,
         mirror_pass="ssr",
         parameters=(_CUTOFF, _STEPS),
@@ -257,7 +243,6 @@ _ALL = (
         "reflections",
         "ray-glossy",
         "rays over the whole specular lobe, their hits lit with their own shadow rays",
-        implemented=True,
         stochastic=True,
         traced=True,
         mirror_pass="glossy",
@@ -273,16 +258,14 @@ _ALL = (
         "reflections",
         "reference",
         "unbiased path tracing of the whole picture; `shadows` has no say",
-        implemented=True,
         stochastic=True,
         traced=True,
     ),
-    Technique("ao", "none", "nothing keeps the sky from a surface but its occlusion texture", implemented=True),
+    Technique("ao", "none", "nothing keeps the sky from a surface but its occlusion texture"),
     Technique(
         "ao",
         "ssao",
         "horizons in the G-buffer (GTAO)",
-        implemented=True,
         parameters=(
             _RADIUS,
             Parameter("slices", 3, "through the view direction, a pixel", 1, 64, sweep=()),
@@ -293,7 +276,6 @@ _ALL = (
         "ao",
         "ray",
         "cosine-weighted rays of a limited length",
-        implemented=True,
         stochastic=True,
         traced=True,
         parameters=(_RADIUS, Parameter("samples", 4, "rays a pixel", 1, 4096), *_FILTER),
@@ -307,14 +289,11 @@ TECHNIQUES: dict[str, dict[str, Technique]] = {"shadows": SHADOWS, "reflections"
 
 
 def find(kind: str, name: object) -> Technique:
-    """The technique of that name. Raises SettingError for one that is unknown or not in this version."""
+    """The technique of that name. Raises SettingError for one that is unknown."""
     table = TECHNIQUES[kind]
     technique = table.get(str(name))
     if technique is None:
         raise SettingError(unknown(f"{kind} technique", name, table))
-    if not technique.implemented:
-        have = ", ".join(t.name for t in table.values() if t.implemented)
-        raise SettingError(f'{kind} technique "{name}" ({technique.summary}) is not in this version; it has: {have}')
     return technique
 
 
@@ -332,5 +311,5 @@ def cutoff(settings: "Settings") -> float:
 
 
 def parameters() -> dict[str, Parameter]:
-    """Every parameter of every implemented technique, by its full key."""
-    return {t.key(p): p for table in TECHNIQUES.values() for t in table.values() if t.implemented for p in t.parameters}
+    """Every parameter of every technique, by its full key."""
+    return {t.key(p): p for table in TECHNIQUES.values() for t in table.values() for p in t.parameters}

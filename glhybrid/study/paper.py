@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from glhybrid import techniques
 from glhybrid.errors import GlhybridError
 from glhybrid.renderer import Renderer
 from glhybrid.settings import Settings
@@ -38,22 +37,10 @@ PRINTED = (
 )
 
 
-def missing() -> str:
-    """Why the many-ray method cannot be shown; empty if it can."""
-    for kind, name in MANY.items():
-        if not techniques.TECHNIQUES[kind][name].implemented:
-            return f"{kind} technique {name} is not in this version: only the paper's own method is shown"
-    return ""
-
-
 def cells() -> list[Cell]:
     """Kim's method, and the many-ray one with several counts of rays."""
-    found = [Cell(defaults() | KIM)]
-    if not missing():
-        keys = [f"{kind}.{name}.samples" for kind, name in MANY.items()]
-        known = techniques.parameters()
-        found += [Cell(defaults() | MANY, {key: n for key in keys if key in known}) for n in SAMPLES]
-    return found
+    keys = [f"{kind}.{name}.samples" for kind, name in MANY.items()]
+    return [Cell(defaults() | KIM), *(Cell(defaults() | MANY, dict.fromkeys(keys, n)) for n in SAMPLES)]
 
 
 def table(rows: Sequence[dict[str, Any]], clock: str) -> list[dict[str, Any]]:
@@ -95,14 +82,9 @@ def ladder(renderer: Renderer, folder: Path, quick: bool, clock: Clock, meter: M
     meter.begin("the paper's figure 8")
     size = QUICK_LADDER_SIZE if quick else LADDER_SIZE
     ways = [Cell(defaults() | {"shadows": "none", "reflections": "ray-lerp"})]
-    glossy = techniques.REFLECTIONS["ray-glossy"]
-    if glossy.implemented:
-        base = defaults() | {"shadows": "none", "reflections": glossy.name}
-        counts = [p for p in glossy.parameters if p.name == "samples"]
-        switches = [p for p in glossy.parameters if p.name == "denoise" and p.default]
-        for n in SAMPLES:
-            ways.append(Cell(base, {glossy.key(p): n for p in counts}))
-            ways += [Cell(base, {**{glossy.key(q): n for q in counts}, glossy.key(p): False}) for p in switches]
+    base, glossy = defaults() | {"shadows": "none", "reflections": "ray-glossy"}, "reflections.ray-glossy"
+    for n in SAMPLES:
+        ways += [Cell(base, {f"{glossy}.samples": n}), Cell(base, {f"{glossy}.samples": n, f"{glossy}.denoise": False})]
     key = store.fingerprint(
         store.code_digest(), size, [way.key for way in ways], clock.__dict__, renderer.context.device.to_dict()
     )

@@ -146,8 +146,6 @@ def _axes(name: str, scene: Scene, quick: bool, only: Sequence[str], study: Stud
 
 
 def _paper_axes(study: Study) -> Mapping[str, Sequence[Cell]]:
-    if papers.missing():
-        study.note(papers.missing())
     return {papers.AXIS: papers.cells()}
 
 

@@ -1,4 +1,4 @@
-"""Which pictures a study makes: every implemented technique of the registry, over what trades time for error.
+"""Which pictures a study makes: every technique of the registry, over what trades time for error.
 
 A cell is one way to make a picture. An axis is swept with the other kinds at their defaults, so that a difference is of
 the technique alone; then the techniques on the fronts of all axes are put together (`pairs`).
@@ -96,8 +96,8 @@ def defaults() -> dict[str, str]:
 
 
 def contestants(kind: str, only: Sequence[str] = ()) -> list[Technique]:
-    """What is implemented of a kind, but for the path tracer that all are held against."""
-    found = [t for t in techniques.TECHNIQUES[kind].values() if t.implemented and t.name != TRUTH]
+    """The techniques of a kind, but for the path tracer that all are held against."""
+    found = [t for t in techniques.TECHNIQUES[kind].values() if t.name != TRUTH]
     return [t for t in found if not only or t.name in only]
 
 

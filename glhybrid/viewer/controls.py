@@ -205,7 +205,7 @@ class Controls:
             session.edited()
         elif name in ("t", "y"):
             kind = "shadows" if name == "t" else "reflections"
-            offered = implemented(kind)
+            offered = list(techniques.TECHNIQUES[kind])
             side = "b" if session.flipped else "a"
             at = offered.index(getattr(getattr(session, side), kind))
             session.set("b" if session.flipped else "a", **{kind: offered[(at + back) % len(offered)]})
@@ -237,8 +237,3 @@ class Controls:
         if session.transport.clip < 0 and session.scene.animations:
             session.transport.choose(session.scene, 0)
         session.transport.toggle()
-
-
-def implemented(kind: str) -> list[str]:
-    """Names of the techniques that this version has, in the registry's order."""
-    return [name for name, t in techniques.TECHNIQUES[kind].items() if t.implemented]

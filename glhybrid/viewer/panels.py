@@ -10,7 +10,7 @@ from glhybrid import techniques
 from glhybrid.image import AOVS
 from glhybrid.settings import TONE_MAPS, Settings
 from glhybrid.viewer import camera_control, transport_bar
-from glhybrid.viewer.controls import Controls, implemented
+from glhybrid.viewer.controls import Controls
 from glhybrid.viewer.gui import Gui
 from glhybrid.viewer.pictures import Pictures
 from glhybrid.viewer.session import MODES, Mode, Session
@@ -144,11 +144,11 @@ class Panels:
         for kind in techniques.TECHNIQUES:
             current = getattr(settings, kind)
             if imgui.begin_combo(kind, current):
-                for name in implemented(kind):
+                for name, technique in techniques.TECHNIQUES[kind].items():
                     if imgui.selectable(name, name == current)[0]:
                         session.set(side, **{kind: name})
                     if imgui.is_item_hovered():
-                        imgui.set_tooltip(techniques.TECHNIQUES[kind][name].summary)
+                        imgui.set_tooltip(technique.summary)
                 imgui.end_combo()
         chosen = [table[getattr(settings, kind)] for kind, table in techniques.TECHNIQUES.items()]
         if any(t.parameters for t in chosen) and imgui.tree_node("parameters"):

@@ -16,10 +16,11 @@ from glhybrid.image import AOVS, NO_ID
 from glhybrid.layout import CONSTANTS
 from glhybrid.scene import Animation, Camera, Channel, Environment, Light, Scene
 from glhybrid.settings import Settings
+from glhybrid.techniques import SHADOWS
 from glhybrid.viewer import camera_control as control
 from glhybrid.viewer import store, views
 from glhybrid.viewer.budget import SCALES, Budget, scaled
-from glhybrid.viewer.controls import Controls, implemented
+from glhybrid.viewer.controls import Controls
 from glhybrid.viewer.events import LEFT, Button, Focus, Key, Move, Wheel
 from glhybrid.viewer.session import Session
 from glhybrid.viewer.transport import Transport
@@ -269,10 +270,9 @@ def test_cameras_wheel_and_techniques() -> None:
     assert session.camera_index == 1 and session.pose is None
     feed(controls, Move(200, 150), Wheel(0, 2.0))
     assert session.pose is not None and control.distance(session.pose) == pytest.approx(5 * control.WHEEL**2)
-    names = implemented("shadows")
-    for _ in names:
+    for _ in SHADOWS:
         feed(controls, Key("t", True), Key("t", False))
-    assert session.a.shadows == Settings().shadows and len(names) > 5
+    assert session.a.shadows == Settings().shadows and len(SHADOWS) > 5
 
 
 def test_the_command_line_holds_what_differs() -> None:
