@@ -30,7 +30,7 @@ SAME_T = 1e-5  # relative: one tree, one arithmetic
 SAME_PLACE = 1e-3  # relative: vertices rounded otherwise, so that grazing rays meet the surface elsewhere
 ROUNDING = 4 * 2.0**-24  # of the largest coordinate: what float32 cannot tell
 OTHER_ROUNDING = 1e-4  # share of rays that may differ where vertices are rounded otherwise, or edges are not watertight
-PEERS = ("embree", "mitsuba")
+PEERS = ("embree", "embree_robust", "mitsuba")
 FEW = 4  # rays that make no share
 Works = dict[tuple[str, Any], tuple[Callable[[], None], Callable[[], NDArray[Any]]]]
 
@@ -156,8 +156,8 @@ class _Bench:
             if self.with_peers and corners is None:
                 self.report.note(f"{name}: no peers, for it has analytic spheres or too many triangles to flatten")
             elif self.with_peers and not peers.Embree.missing and corners is not None:
-                embree = peers.Embree(corners)
-                theirs = {(c, embree.name): embree.launch(c, tracer.rays[c]) for c in classes}
+                embrees = [peers.Embree(corners, robust) for robust in (False, True)]
+                theirs = {(c, e.name): e.launch(c, tracer.rays[c]) for c in classes for e in embrees}
             samples = self._time(ours, theirs)
             found = {key: read() for key, (_, read) in (ours | theirs).items()}
             if self.with_peers and corners is not None and not peers.mitsuba_missing():
@@ -207,9 +207,8 @@ class _Bench:
                 name, scene.triangle_count(), c, str(who), len(tracer.rays[c]), kind, rate, sample.spread(kind),
                 wall_ms=sample.median("wall"), cpu_ms=sample.median("cpu"),
                 gpu_ms=sample.median("gpu") if sample.gpu else None,
-                ratio_embree_per_core=rate / per_core[c, "embree"] if (c, "embree") in per_core else None,
-                ratio_mitsuba_per_core=rate / per_core[c, "mitsuba"] if (c, "mitsuba") in per_core else None,
                 own=who == tracer.own, peer=not ours,
+                **{f"ratio_{name}_per_core": rate / per_core[c, name] for name in PEERS if (c, name) in per_core},
             )  # fmt: skip
             if kind == "wall" and not self.software:
                 self.report.note("this driver's timer queries disagree with the clock: rates are by wall time")
