@@ -8,6 +8,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -18,6 +19,7 @@ MOST = 8  # processes: each compiles, and holds a context
 COMMAND = "from glhybrid.study.beside import serve; serve()"
 STABILITY, FAILURES = "stability", "failures"
 LOOK_S = 0.2  # between two looks at the clock
+STALL_S = 90.0  # without a job done, whatever keeps them: the rest is then made here
 Job = tuple[str, str]  # part of a study, name of a curve or case
 
 
@@ -35,13 +37,14 @@ def make(
     try:
         for thread in threads:
             thread.start()
-        left, done = processes, 0
-        while left:
+        left, done, moved = processes, 0, time.monotonic()
+        while left and time.monotonic() - moved < STALL_S:
             try:
                 if finished.get(timeout=LOOK_S) is None:
                     left -= 1
                 else:
                     done += 1
+                moved = time.monotonic()
             except Empty:
                 pass
             told(done)

@@ -108,7 +108,7 @@ def converge(
     path = folder / f"{key}.npz" if folder is not None and scene.sha256 else None
     parts = _Parts.read(path, size) if path is not None else _Parts.empty(size)
     started, kept_s, saved = time.perf_counter(), parts.seconds, time.perf_counter()
-    noise, looked, looking_s = math.inf, started, 0.0
+    noise, looked, looking_s, batches = math.inf, started, 0.0, parts.batches
     while True:
         # To look takes seconds where pictures are large: at most a fifth of the time goes there.
         due = parts.samples >= LEAST and time.perf_counter() - looked >= LOOK_SHARE * looking_s
@@ -119,7 +119,7 @@ def converge(
             looked = time.perf_counter()
             looking_s = looked - looking
         spent = time.perf_counter() - started
-        timed_out = spent >= budget_s and parts.samples >= LEAST
+        timed_out = spent >= budget_s and parts.samples >= LEAST and parts.batches > batches
         enough = parts.samples > 0 and (noise <= target or parts.samples >= most or timed_out)
         known = 0 < noise < math.inf
         aim = min(most, parts.samples * (noise / max(target, 1e-9)) ** FLIP_POWER) if known else most

@@ -1,5 +1,6 @@
 """The study's further parts: curves over a parameter, what is gone, the paper again, scenes for other renderers."""
 
+import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -71,6 +72,8 @@ def test_what_is_not_timed_is_made_beside(
 ) -> None:
     """Cases and curves made in other processes are found here, and are those that are made here. Of a process that ends,
     the rest is made by others."""
+    if os.environ.get("GLHYBRID_TEST_FORMS"):
+        pytest.skip("the forms of this context are not those of other processes")
     cases, told = ["terminator", "lattice-rays", "none such", "ao-leak"], list[int]()
     jobs = [(beside.FAILURES, name) for name in cases] + [(beside.STABILITY, "thickness")]
     device = "software" if context.device.software else "auto"
@@ -88,6 +91,14 @@ def test_what_is_not_timed_is_made_beside(
     curve = curves.make(renderer, "thickness", tmp_path / "beside" / "stability", True, Meter(None, False), pytest.fail)
     assert curve is not None and {"map", "ray"} <= {line["technique"] for line in curve["lines"]}
     assert (tmp_path / "beside" / "failures" / "terminator-0.png").is_file()
+
+
+def test_processes_that_stand_still_are_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(beside, "COMMAND", "import time; time.sleep(100)")
+    monkeypatch.setattr(beside, "STALL_S", 1.0)
+    told = list[int]()
+    beside.make("software", tmp_path, True, [(beside.FAILURES, "acne")], 2, told.append)
+    assert set(told) == {0}
 
 
 def test_the_ladder_shows_the_papers_bias(
