@@ -4,8 +4,9 @@ const float PI = 3.14159265358979;
 float max3(vec3 v) { return max(v.x, max(v.y, v.z)); }
 float min3(vec3 v) { return min(v.x, min(v.y, v.z)); }
 float square(float x) { return x * x; }
-// A share as an 8-bit image keeps it, to the same step everywhere: drivers may store either neighbour (OpenGL 4.6, 2.3.5).
-float in_8_bits(float x) { return floor(x * 255.0 + 0.5) / 255.0; }
+// As an 8-bit image keeps it, to the same step everywhere: drivers may store either neighbour (OpenGL 4.6, 2.3.5), and an
+// H100 rounds up not from half a step on, but from 0.50 to 0.56, by the value.
+vec3 in_8_bits(vec3 x) { return floor(x * 255.0 + 0.5) / 255.0; }
 bool between_in_8_bits(float x) { return abs(floor(x * 255.0 + 0.5) - 127.5) < 127.0; }   // neither 0 nor 1
 vec2 square2(vec2 x) { return x * x; }
 float pow5(float x) { float x2 = x * x; return x2 * x2 * x; }

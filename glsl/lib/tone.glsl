@@ -47,5 +47,5 @@ void show(ivec2 px, vec3 radiance) {
     if (frame.tone_map == TONE_ACES) c = tone_aces(c);
     if (frame.tone_map == TONE_AGX) c = tone_agx(c);
     if (frame.tone_map == TONE_PBR_NEUTRAL) c = tone_pbr_neutral(c);
-    imageStore(out_display, px, vec4(srgb_encode(clamp(c, 0.0, 1.0)), 1.0));
+    imageStore(out_display, px, vec4(in_8_bits(srgb_encode(clamp(c, 0.0, 1.0))), 1.0));
 }

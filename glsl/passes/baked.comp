@@ -55,7 +55,7 @@ void main() {
         LightSample l = light_at(light_row(i), q.position);
         vec3 visibility = vec3(0.0);
         if (arrives(l) && dot(q.n_geo, l.dir) > 0.0 && !unlit) visibility = lightmap_visibility(at, i);
-        if (!BLENDED) visibility = vec3(in_8_bits(visibility.x));
+        if (!BLENDED) visibility = in_8_bits(visibility);
         imageStore(out_visibility, ivec3(px, i), vec4(visibility, 1.0));
 #if USE_REASON_SHADOWS
         bool border = between_in_8_bits(visibility.x);

@@ -64,7 +64,7 @@ void main() {
     for (uint i = frame.light_first; i < frame.light_end; i++) {
         LightSample l = light_at(light_row(i), s.point.position);
         vec3 visibility = vec3(0.0);
-        if (arrives(l) && faces(s, l.dir)) visibility = vec3(in_8_bits(map_visibility(s.point, l.dir, i)));
+        if (arrives(l) && faces(s, l.dir)) visibility = in_8_bits(vec3(map_visibility(s.point, l.dir, i)));
         imageStore(out_visibility, ivec3(px, i), vec4(visibility, 1.0));
 #if USE_REASON_SHADOWS
         uint why = REASON_NONE;
