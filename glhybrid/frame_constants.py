@@ -33,28 +33,43 @@ class FrameConstants:
         self._lens: tuple[object, ...] = ()  # what is the same in most views
         self._lights = (0, 0, 0)  # first, end, count
         self._still = False  # the view before that was the same
+        self._put: dict[str, Any] = {}  # values given last
+        self._changed = True  # since the last upload
+        self._turn: tuple[Any, dict[str, Any]] | None = None  # of the environment
         self.under(scene, settings)
 
     def under(self, scene: Scene, settings: Settings) -> None:
         """The fields of settings and environment."""
-        angle = scene.environment.rotation if scene.environment else 0.0
+        sky = scene.environment
+        if self._turn is None or self._turn[0] is not sky:
+            angle = sky.rotation if sky else 0.0
+            x, z = (np.cos(angle), 0.0, -np.sin(angle)), (np.sin(angle), 0.0, np.cos(angle))
+            named = {"environment_x": x, "environment_z": z, "environment_intensity": sky.intensity if sky else 0.0}
+            self._turn = sky, named
         self.exposure_ev = None if settings.exposure == "auto" else float(settings.exposure)  # None: of the picture
         self.put(
             seed=settings.seed, bounces=settings.bounces, mirror_cutoff=techniques.cutoff(settings),
-            tone_map=layout.CONSTANTS[f"TONE_{settings.tone.upper().replace('-', '_')}"],
-            environment_x=(np.cos(angle), 0, -np.sin(angle)), environment_z=(np.sin(angle), 0, np.cos(angle)),
-            environment_intensity=scene.environment.intensity if scene.environment else 0.0,
+            tone_map=layout.CONSTANTS[f"TONE_{settings.tone.upper().replace('-', '_')}"], **self._turn[1],
         )  # fmt: skip
 
     def put(self, **values: Any) -> None:
         """Changes fields; upload() sends them."""
-        views = self._views
+        known = self._put
         for name, value in values.items():
-            views[name][...] = value
+            if isinstance(value, np.ndarray):
+                known.pop(name, None)
+            elif known.get(name) == value:
+                continue
+            else:
+                known[name] = value
+            self._views[name][...] = value
+            self._changed = True
 
     def upload(self) -> None:
-        """Sends all fields as they are."""
-        self._write(self.buffer, self.rows)
+        """Sends all fields as they are, if any has changed since."""
+        if self._changed:
+            self._write(self.buffer, self.rows)
+            self._changed = False
 
     def choose_lights(self, first: int, end: int) -> None:
         """Which lights the next dispatch is for: first..end-1."""
@@ -78,6 +93,7 @@ class FrameConstants:
         before = self._view
         if view is before and self._still:
             return  # all there since the look before
+        self._changed = True
         if before is None:
             self._clip[...] = view.clip_from_world.T  # columns first, as GLSL has it
             before = view

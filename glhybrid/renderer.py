@@ -41,6 +41,8 @@ class Renderer:
         self._most = INTERACTIVE_STAGINGS if interactive else 1
         self.planned_size: tuple[int, int] | None = None  # decides between raster and rays in place of a picture's own
         self._stagings: list[Staged] = []  # the last one was used last
+        self._seen: Camera | None = None  # was checked last
+        self._view: View | None = None
         self._checked: Callable[[], Scene | None] = lambda: None
         self.rings: set[Ring] = set()  # of frames() and arrays() that are not at their end
 
@@ -110,13 +112,18 @@ class Renderer:
         progress: Progress | None = None,
     ) -> tuple[Staged, View, Any, Any]:
         """One picture that stays on the GPU: the staging, the view, and the images of radiance and display."""
-        checks.check_camera(choose_camera(scene, camera))  # before any work is done
+        chosen = choose_camera(scene, camera)
+        if chosen is not self._seen:
+            checks.check_camera(chosen)  # before any work is done
+            self._seen = chosen
         staged = self.stage(scene, settings, size, aovs, progress)
         view = staged.aim(settings, camera, timing.enabled)
         if staged.outgrown:
             staged = self.stage(scene, settings, size, aovs, progress)
             view = staged.aim(settings, camera, timing.enabled)
-        checks.check_view(view, staged.bounds)
+        if view is not self._view:
+            checks.check_view(view, staged.bounds)
+            self._view = view
         radiance = staged.accumulate(timing, progress)
         return staged, view, radiance, timing.run("display", lambda: staged.display.image(staged.targets, radiance))
 

@@ -209,6 +209,7 @@ class Settings:
 
 
 _RULES: dict[str, _Rule] = {f.name: f.metadata["rule"] for f in dataclasses.fields(Settings) if "rule" in f.metadata}
+_FREE = _RULES.keys() - {"shadows", "reflections", "ao"}  # settings that are right by themselves
 
 
 class Row(NamedTuple):
@@ -263,4 +264,9 @@ def _build(base: Settings, changes: Mapping[str, Any]) -> Settings:
             continue
         _rule(key)  # unknown keys end here, with the nearest known one
         (plain if key in _RULES else dotted)[key] = value
+    if plain.keys() <= _FREE and dotted == base.parameters:  # a time for each of many pictures, say
+        made = object.__new__(Settings)
+        made.__dict__.update(base.__dict__)
+        made.__dict__.update((name, _RULES[name].check(name, value)) for name, value in plain.items())
+        return made
     return dataclasses.replace(base, **plain, parameters=dotted)

@@ -97,6 +97,7 @@ class Staged:
         self._own: dict[str, Any] = {}
         self._add(self.sky.resources | {"Frame": self.constants.buffer})
         self._staged_lights = (self.mover.motion.scene if self.mover is not None else scene).lights
+        self._lit: tuple[Any, Any, Any] | None = None  # what _relight() has seen and given
         self._relight()
         self.targets = Targets(context, size)
         self._spare: Targets | None = None  # of another size
@@ -113,6 +114,7 @@ class Staged:
         reference = self.passes.composite is None
         self.reference = Reference(context, shaders, self.upload, features) if reference else None
         self._aov = Aov(shaders, self.upload, features)
+        self._view: View | None = None  # of the last picture
         self._ids: Any = None  # of the pixel centres, once AOVs asked for them
         self.stochastic = features.glossy or features.light_discs or features.occlusion
         self._top: tuple[Any, list[float]] | None = None  # the tree and the origin that the constants know
@@ -169,16 +171,24 @@ class Staged:
         """Whether it draws this scene under these settings, with these AOVs, as one staged for them would."""
         if self.stale:
             return False
-        if settings is not self.settings:
-            ours, theirs = (self._timeless(s) for s in (self.settings, settings))
-            if any(ours[name] != theirs.get(name) for name in ours if name not in LIVE) or ours.keys() != theirs.keys():
-                return False
+        if settings is not self.settings and not self._alike(settings):
+            return False
         if scene is not self.scene and ({settings.shadows, settings.reflections} & LIT_AHEAD or not self._like(scene)):
             return False
         if self.mover is not None and ("motion" in aovs) != ("motion" in self.aovs):
             return False
         told = ("reason", "reason_shadows", "reason_ao", "reflection_hit")
         return all((name in aovs) == (name in self.aovs) for name in told) and not self.outgrown
+
+    def _alike(self, settings: Settings) -> bool:
+        """Whether settings differ at most in numbers of a frame, and in a time of the same clip."""
+        ours, theirs = self.settings.__dict__, settings.__dict__  # values are mostly the same objects
+        other = {n for n, value in ours.items() if value is not theirs[n] and n not in LIVE and value != theirs[n]}
+        if not other:
+            return True
+        live = self.mover is not None and motion.animated(self.settings) and motion.animated(settings)
+        clips = (self.settings.clip or "") == (settings.clip or "")
+        return live and clips and other <= {"time", "clip"}
 
     def shares_upload(self, scene: Scene, settings: Settings) -> bool:
         """Whether trees, buffers and what moves them serve these settings too."""
@@ -224,8 +234,12 @@ class Staged:
 
     def _relight(self) -> None:
         """Lights that differ from those that were staged, on the GPU with the next look."""
+        now = self.scene.lights, self.drawn.lights
+        if self._lit is not None and all(a is b for a, b in zip(self._lit, (*now, self.upload.lights), strict=True)):
+            return
         pairs = zip(self.scene.lights, self._staged_lights, self.drawn.lights, strict=True)
         self.upload.relight(tuple(now if now is not then else drawn for now, then, drawn in pairs))
+        self._lit = *now, self.upload.lights
 
     def _timeless(self, settings: Settings) -> dict[str, Any]:
         """The settings by name, but for the time where any time of the clip is as good."""
@@ -246,10 +260,11 @@ class Staged:
             if self.probe is not None:
                 self.probe.captured.clear()
             self.passes.moved()
-        clip_control = self.context.limits.clip_control
-        view = make_view(choose_camera(scene, camera), self.targets.size, scene, clip_control, self.bounds)
-        self.look(view)
-        return view
+        chosen, size = choose_camera(scene, camera), self.targets.size
+        if self._view is None or self._view.camera is not chosen or self._view.size != size:
+            self._view = make_view(chosen, size, scene, self.context.limits.clip_control, self.bounds)
+        self.look(self._view)
+        return self._view
 
     def look(self, view: View) -> None:
         """Points the next frames through a view."""

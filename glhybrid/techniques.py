@@ -1,6 +1,8 @@
 """The registry of techniques: one set of names for the command line, the API, TOML, EXR layers and charts."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Literal
 
 from glhybrid.errors import SettingError, unknown
@@ -310,6 +312,7 @@ def cutoff(settings: "Settings") -> float:
     return float(settings.parameter(key)) if key in parameters() else 1.0
 
 
-def parameters() -> dict[str, Parameter]:
+@cache
+def parameters() -> Mapping[str, Parameter]:
     """Every parameter of every technique, by its full key."""
     return {t.key(p): p for table in TECHNIQUES.values() for t in table.values() for p in t.parameters}
