@@ -207,7 +207,8 @@ class MovingTop:
         check_boxes(boxes)
         extent(boxes, self._extent)
         low, high = self._extent
-        zero, half = (low + high) / 2, (high - low) * (0.5 + ROOM)
+        zero, size = (low + high) / 2, high - low
+        half = size * (0.5 + ROOM) + ROOM / 4 * size.max()  # what is flat has a way to go too
         pad = PAD * float(half.max())
         low32, step = make_grid(-half, half, pad)
         corner = low32.astype(np.float64)
