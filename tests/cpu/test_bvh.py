@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -381,6 +382,52 @@ def test_damaged_files_are_rebuilt(damage: str, kept: tuple[Triangles, Blas, Pat
     assert cache.read(path, path.stem, 0.0) is None
     assert same(tree, load_or_build(triangles, folder=path.parent))
     assert cache.read(path, path.stem, 0.0) is not None  # and is whole again
+
+
+def test_a_check_sees_what_happens_to_files() -> None:
+    """Bits that flip, words, pages and rows that are zeroed, moved or exchanged; of any length, odd tails included."""
+    rng = np.random.default_rng(4)
+    for size in (0, 5, 8, 4096, 8192, 3 * 8192 + 13, 5 << 18):
+        data = rng.integers(0, 256, size, dtype=np.uint8)
+        want, seen = cache.check(memoryview(data)), {cache.check(memoryview(data))}
+        assert cache.check(memoryview(bytes(size))) != want or size == 0
+        for _ in range(40 if size else 0):
+            bad, kind = data.copy(), rng.integers(4)
+            at, length = int(rng.integers(size)), int(rng.integers(1, min(size, 8192) + 1))
+            if kind == 0:
+                bad[at] ^= 1 << rng.integers(8)
+            elif kind == 1:
+                bad[at : at + length] = 0
+            elif kind == 2:
+                bad = np.roll(bad, length)
+            else:
+                other = int(rng.integers(size))
+                bad[at], bad[other] = data[other], data[at]
+            assert (cache.check(memoryview(bad)) == want) == np.array_equal(bad, data)
+            seen.add(cache.check(memoryview(bad)))
+        assert len(seen) > 20 or size < 4096
+    words = np.zeros(1 << 17, np.uint64)  # sums that cancel in columns are told by rows, and the other way round
+    words[[5, 1024 + 5]] = 1, 2
+    swapped = words.copy()
+    swapped[[5, 1024 + 5]] = 2, 1
+    moved = np.roll(words, 1)
+    assert len({cache.check(w.data.cast("B")) for w in (words, swapped, moved)}) == 3
+
+
+def test_runs_tell_arrays_apart() -> None:
+    """What the key holds instead of the numbers gives the numbers back."""
+    made: list[Any] = [np.arange(9), np.zeros(9), np.r_[np.zeros(4), np.ones(5)], np.r_[np.arange(4), np.arange(7, 12)]]
+    made += [np.r_[3, 3, 4], np.r_[0, 2**32 - 1, 0], np.r_[7]]
+    for numbers in (array.astype(np.uint32) for array in made):
+        told = cache._runs(numbers)
+        assert told is not None
+        step, first, ends = int(told[0]), told[1], np.split(told[2:].astype(np.int64), 2)
+        back = np.full(len(numbers), step, np.int64)
+        back[0] = first
+        for at, value in zip(*ends, strict=True):
+            back[at] = value - back[:at].sum()
+        np.testing.assert_array_equal(np.cumsum(back).astype(np.uint32), numbers)
+    assert cache._runs(np.random.default_rng(0).integers(0, 2**32, 20_000).astype(np.uint32)) is None
 
 
 def test_cache_folder_that_cannot_be_used_is_no_error(tmp_path: Path, kept: tuple[Triangles, Blas, Path]) -> None:

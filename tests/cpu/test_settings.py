@@ -104,6 +104,7 @@ def test_parameters_of_techniques_are_dotted_keys(monkeypatch: pytest.MonkeyPatc
         "shadows", "pcf", "", parameters=(techniques.Parameter("radius", 2.0, "filter radius", 0, 64),)
     )
     monkeypatch.setitem(techniques.SHADOWS, "pcf", fake)
+    monkeypatch.setattr(techniques, "parameters", techniques.parameters.__wrapped__)  # the table is kept otherwise
     settings = Settings().with_overrides(["shadows=pcf", "shadows.pcf.radius=3"])
     assert settings.parameter("shadows.pcf.radius") == 3.0 and Settings().parameter("shadows.pcf.radius") == 2.0
     assert Settings.from_dict(settings.to_dict()) == settings != Settings(shadows="pcf")
