@@ -173,13 +173,19 @@ def runs(rows: np.ndarray, gap: int, most: int) -> list[tuple[int, int]]:
 
     At most `most`: else all in one, for each costs a call.
     """
-    if len(rows) == 1 or len(rows) == rows[-1] - rows[0] + 1:
-        return [(int(rows[0]), int(rows[-1]) + 1)]
-    ends = np.flatnonzero(rows[1:] - rows[:-1] > gap)
-    if len(ends) >= most:
-        return [(int(rows[0]), int(rows[-1]) + 1)]
-    firsts, lasts = [rows[0], *rows[ends + 1]], [*rows[ends], rows[-1]]
-    return [(int(a), int(b) + 1) for a, b in zip(firsts, lasts, strict=True)]
+    first, last = int(rows[0]), int(rows[-1])
+    if len(rows) == last - first + 1:
+        return [(first, last + 1)]
+    ends = np.flatnonzero(rows[1:] - rows[:-1] > gap) if len(rows) > 64 else _ends(rows.tolist(), gap)
+    if not len(ends) or len(ends) >= most:
+        return [(first, last + 1)]
+    starts = [first, *(int(rows[k + 1]) for k in ends)]
+    return list(zip(starts, [*(int(rows[k]) + 1 for k in ends), last + 1], strict=True))
+
+
+def _ends(rows: list[int], gap: int) -> list[int]:
+    """The same for few, which is what most frames write."""
+    return [k for k in range(len(rows) - 1) if rows[k + 1] - rows[k] > gap]
 
 
 def _slot_flags(geometry: Geometry, numbers: U32) -> U32:

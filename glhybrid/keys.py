@@ -64,17 +64,15 @@ class Tracks:
 
     def into(self, out: F64, time: float, rows: Any = None) -> None:
         """The same, compiled, into the rows of out (N, W) that are given (C,) int64, or into those of the nodes."""
-        from glhybrid import swarm
-
         if self._given is None:
+            from glhybrid import swarm
+
             values = self._values if self.interpolation == "CUBICSPLINE" else self._values[:, None]
             turn = {"LINEAR": "SLERP", "CUBICSPLINE": "CUBIC_TURN"} if self._turns else {}
             kind = swarm.KINDS[turn.get(self.interpolation, self.interpolation)]
-            self._given = (self._times, np.ascontiguousarray(values), self._first, self._end), kind
-        (given, kind), rows = self._given, self.nodes if rows is None else rows
-        swarm.spread(
-            lambda first, last: swarm.sample(*given, rows, time, kind, first, last, out), 0, len(self.nodes)
-        )  # fmt: skip
+            self._given = swarm, (self._times, np.ascontiguousarray(values), self._first, self._end), kind
+        (code, given, kind), rows = self._given, self.nodes if rows is None else rows
+        code.spread(lambda first, last: code.sample(*given, rows, time, kind, first, last, out), 0, len(self.nodes))
 
     def _after(self, time: float) -> Any:
         """(C,) row of each channel's first key later than the time; its end if there is none."""

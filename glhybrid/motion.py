@@ -144,6 +144,8 @@ class Motion:
         from glhybrid import swarm
 
         flat, moved, rows = self._flat, self._moved, self._rows
+        if not len(rows):
+            return rows
         given = (nodes, self._nodes, self._local, self._plain, rows)
         counts = swarm.spread(lambda first, last: swarm.carry(*given, first, last, world, flat, moved), 0, len(rows))
         if any(counts):

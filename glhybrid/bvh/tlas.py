@@ -37,12 +37,17 @@ class Tlas:
         """Bytes of its nodes, as they are uploaded."""
         return self.nodes.nbytes
 
-    def placed(self, first: int) -> U32:
-        """(N, 8) nodes for the GPU, where they lie from row `first` of all nodes on."""
-        rows = self.nodes.reshape(-1, 8).copy()
+    def placed(self, first: int, order: np.ndarray | None = None) -> U32:
+        """(N, 8) nodes for the GPU, where they lie from row `first` of all nodes on. order: (N,) rows, root first."""
+        rows = self.nodes.reshape(-1, 8)
+        order = np.arange(len(rows)) if order is None else order
+        place = np.empty(len(rows), np.uint32)
+        place[order] = np.arange(first, first + len(rows))
+        rows = rows[order]
         refs = rows[:, 3::4]
         refs[refs == LEAF] = REF_RETURN
-        refs[refs < LEAF] += np.uint32(first)
+        inner = refs < LEAF
+        refs[inner] = place[refs[inner]]
         return rows
 
     def stats(self) -> dict[str, Any]:

@@ -14,6 +14,8 @@ from glhybrid.jit import kernel
 from glhybrid.scene import F32, F64
 
 ROOM = 1 / 8  # of the boxes' extent, that a grid leaves on every side
+MOST_ROOM = 8  # times the boxes' extent, that a grid may be as large as for where they have been
+TOGETHER = 6  # levels of a treelet, up to 63 nodes of 32 bytes
 LOOK_EVERY = 64  # refits: whether the boxes still need so large a grid
 _f1, _f2, _f3 = (types.Array(types.float64, n, "C", readonly=True) for n in (1, 2, 3))
 _i1 = types.Array(types.int64, 1, "C", readonly=True)
@@ -153,6 +155,31 @@ def extent(boxes, out):  # type: ignore[no-untyped-def]
             out[1, axis] = max(out[1, axis], boxes[row, 1, axis])
 
 
+@kernel(types.void(types.Array(types.uint32, 2, "C", readonly=True), types.int64[::1]))
+def treelets(nodes, order):  # type: ignore[no-untyped-def]
+    """All rows of nodes (N, 8), root first, TOGETHER levels of a subtree next to each other, parents before children:
+    a way from a leaf to the root then lies in few places, each one write."""
+    roots = np.zeros(len(nodes), np.int64)
+    count, head, tail = 0, 0, 1
+    while head < tail:
+        order[count] = roots[head]
+        start, head, count = count, head + 1, count + 1
+        for level in range(TOGETHER):
+            end = count
+            for k in range(start, end):
+                for child in range(2):
+                    ref = nodes[order[k], 4 * child + 3]
+                    if ref >= LEAF:
+                        continue
+                    if level == TOGETHER - 1:
+                        roots[tail] = ref
+                        tail += 1
+                    else:
+                        order[count] = ref
+                        count += 1
+            start = end
+
+
 class MovingTop:
     """rows: (N, 8) uint32, the tree for the GPU, where they lie from `first` on. sah_cost: as it is now.
 
@@ -160,7 +187,9 @@ class MovingTop:
     """
 
     def __init__(self, tree: Tlas, first: int) -> None:
-        self.built, self.rows = tree, tree.placed(first)
+        order = np.zeros(len(tree.nodes), np.int64)
+        treelets(tree.nodes.reshape(-1, 8), order)
+        self.built, self.rows = tree, tree.placed(first, order)
         self._first, self._age = first, 0
         self._parent = np.zeros(len(self.rows), np.int64)
         self._leaf = np.zeros(len(tree.boxes), np.int64)
@@ -192,7 +221,7 @@ class MovingTop:
             if count >= 0:
                 return self._touched[:count]
         if not sweep(boxes, zero, low, cells, self._first, self.rows, self._total):
-            zero, low, cells = self._lay(boxes)
+            zero, low, cells = self._lay(boxes, outgrown=True)
             inside = sweep(boxes, zero, low, cells, self._first, self.rows, self._total)
             assert inside
         return None
@@ -200,13 +229,18 @@ class MovingTop:
     def _too_large(self, boxes: F64) -> bool:
         now = np.empty((2, 3))
         extent(boxes, now)
-        return bool((now[1] - now[0]).max() < (self._extent[1] - self._extent[0]).max() / 2)
+        return bool((now[1] - now[0]).max() * MOST_ROOM < (self._extent[1] - self._extent[0]).max())
 
-    def _lay(self, boxes: F64) -> tuple[F64, F64, F64]:
+    def _lay(self, boxes: F64, outgrown: bool = False) -> tuple[F64, F64, F64]:
         """Another grid. Coordinates are from the middle of all: float32 tells them apart best there."""
         check_boxes(boxes)
+        before = self._extent.copy()
         extent(boxes, self._extent)
         low, high = self._extent
+        if self._on is not None and outgrown:  # what went past the edge may come back
+            both = np.minimum(low, before[0]), np.maximum(high, before[1])
+            if (both[1] - both[0]).max() <= MOST_ROOM * (high - low).max():
+                self._extent[:] = low, high = both
         zero, size = (low + high) / 2, high - low
         half = size * (0.5 + ROOM) + ROOM / 4 * size.max()  # what is flat has a way to go too
         pad = PAD * float(half.max())

@@ -10,6 +10,7 @@ from tree_oracle import sah_cost
 from glhybrid import bvh, keys, motion, pose
 from glhybrid.bvh.top import LOOK_EVERY, MovingTop
 from glhybrid.errors import GeometryError
+from glhybrid.gpu_trees import NEAR_NODES, runs
 from glhybrid.load.shapes import box
 from glhybrid.scene import Animation, Channel, Instance, Mesh, Node, Scene, Triangles
 
@@ -154,6 +155,11 @@ def test_a_tree_refitted_along_paths_is_the_one_refitted_whole(count: int, first
             np.testing.assert_array_equal(top.rows, whole.rows)
             assert top.sah_cost == pytest.approx(whole.sah_cost, rel=1e-9, abs=1e-9, nan_ok=True)
     assert count < 3 or paths > LOOK_EVERY
+    for row in rng.choice(count, min(count, 20), replace=False):  # what is written for one: a treelet for six levels
+        changed = top.refit(boxes + (np.arange(count) == row)[:, None, None] * 1e-3, np.array([row]))
+        if changed is not None and len(changed):
+            assert len(runs(changed, NEAR_NODES, 99)) <= -(-tree.depth // 6)
+        top.refit(boxes, np.array([row]))
     boxes[:] = boxes[0]  # all in one place: the grid follows
     spread, top._age = float(top.grid[1].max()), -1
     top.refit(boxes, np.arange(count))
