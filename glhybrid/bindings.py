@@ -5,9 +5,7 @@ then finds most of what it reads bound by the one before. Between frames others 
 gave us the context): nothing is believed that was bound before the frame began.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any
+from typing import Any, Self
 
 
 class Points:
@@ -34,15 +32,17 @@ class Bindings:
         self.blocks, self.textures, self.images = Points(blocks), Points(textures), Points(images)
         self.kept = False  # what programs bind stays as it is until forget()
 
-    @contextmanager
-    def keep(self) -> Iterator[None]:
-        """A frame: until the end of the block nobody else binds anything, or forget() is called after it."""
+    def keep(self) -> Self:
+        """A frame: until the end of the with block nobody else binds anything, or forget() is called after it."""
+        return self
+
+    def __enter__(self) -> Self:
         self.forget()
         self.kept = True
-        try:
-            yield
-        finally:
-            self.kept = False
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.kept = False
 
     def forget(self) -> None:
         """Others may have bound something."""

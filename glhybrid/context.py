@@ -156,9 +156,10 @@ class Context:
         waits its turn.
         """
         if not self.device.software:
-            last = len(self.bindings.blocks.bound) - 1
-            buffer.mglo.bind_to_storage_buffer(last, 0, -1)
-            self.bindings.blocks.bound[last] = buffer
+            bound = self.bindings.blocks.bound
+            if bound[-1] is not buffer:  # several writes in a row
+                buffer.mglo.bind_to_storage_buffer(len(bound) - 1, 0, -1)
+                bound[-1] = buffer
         buffer.write(data, offset)
 
     def make_current(self) -> None:

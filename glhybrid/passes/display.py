@@ -20,7 +20,7 @@ class Display:
     def __init__(self, context: Context, shaders: Shaders, constants: FrameConstants) -> None:
         self._program = shaders.compute("display", Features())
         self._exposure, self._write = context.gl.buffer(reserve=16), context.write
-        self._shaders, self._constants = shaders, constants
+        self._shaders, self._constants, self._bindings = shaders, constants, context.bindings
         self._measure: Program | None = None  # compiled where exposure = auto asks for it
         self._given: float | None = None  # EV in the buffer, if it was not measured
         self._shown: tuple[Any, Any] = (None, None)  # radiance that was encoded when it was made, and how
@@ -56,8 +56,10 @@ class Display:
         resources = self.resources(targets) | {"radiance": radiance}
         if not self.given:
             self._measure = self._measure or self._shaders.compute("exposure", Features())
-            self._measure.dispatch(resources, (1, 1))
-        self._program.dispatch(resources, targets.size)
+        with self._bindings.keep():
+            if self._measure is not None and not self.given:
+                self._measure.dispatch(resources, (1, 1))
+            self._program.dispatch(resources, targets.size)
         return resources["out_display"]
 
     def exposure_ev(self) -> float:
