@@ -37,6 +37,7 @@ class Direct:
         return np.einsum("hwl,lhwc->hwc", visibility[..., list(self.lights)], self.unblocked, dtype=np.float32)
 
     def truth(self) -> F32:
+        """(H, W, 3) radiance: each light's, times the share of it that arrives."""
         return np.einsum("hwl,lhwc->hwc", self.visibility, self.unblocked, dtype=np.float32)
 
 

@@ -51,6 +51,7 @@ class Times:
 
     @property
     def trace_ms(self) -> float:
+        """Of the passes that send rays or stand in their place."""
         return sum(ms for name, ms in self.passes.items() if name not in NOT_TRACED)
 
 

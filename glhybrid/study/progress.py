@@ -26,6 +26,7 @@ class Meter:
         self._show(0.0)
 
     def begin(self, label: str) -> None:
+        """What is shown beside the bar from now on."""
         self._label = label
         self._show(0.0)
 
@@ -34,6 +35,7 @@ class Meter:
         self._show(share)
 
     def end(self, cells: float = 1.0, free: bool = False) -> None:
+        """So much more is done. free: it took no time, and says nothing about how long the rest takes."""
         self._done += cells
         self._free += cells if free else 0.0
         self._show(0.0)

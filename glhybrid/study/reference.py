@@ -60,6 +60,7 @@ class Reference:
     key: str
 
     def to_dict(self) -> dict[str, Any]:
+        """Ready for JSON, without the pictures."""
         names = (
             "samples", "bounces", "noise_rel_mse", "noise_flip", "left_out_percent", "seconds", "complete", "key",
         )  # fmt: skip

@@ -32,6 +32,7 @@ class Study:
     notes: list[str] = field(default_factory=list)
 
     def note(self, text: str) -> None:
+        """Adds a remark, once."""
         if text not in self.notes:
             self.notes.append(text)
 
@@ -45,6 +46,7 @@ class Study:
             self.seconds[part] = self.seconds.get(part, 0.0) + time.perf_counter() - started
 
     def to_dict(self) -> dict[str, Any]:
+        """Ready for JSON: results.json."""
         names = ("machine", "rows", "failures", "scenes", "curves", "peers", "paper", "seconds", "notes")
         return {name: getattr(self, name) for name in names}
 

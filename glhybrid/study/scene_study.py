@@ -90,6 +90,7 @@ class SceneStudy:
         self._pending: list[tuple[dict[str, Any], Future[dict[str, Any]]]] = []
 
     def size_of_work(self) -> float:
+        """In pictures of one technique, for the bar."""
         pairs = self.spent.pairs if len(self.axes) > 1 else 0
         return REFERENCE_CELLS + sum(len(cells) for cells in self.axes.values()) + pairs
 

@@ -39,6 +39,7 @@ def code_digest() -> str:
 
 
 def digest(files: Iterable[Path]) -> str:
+    """Of this version, and of the names and bytes of files."""
     total = hashlib.sha256(__version__.encode())
     for path in sorted(files):
         total.update(path.name.encode() + path.read_bytes())

@@ -107,6 +107,7 @@ class Subject:
 
     @cached_property
     def case_settings(self) -> Settings:
+        """What the case asks of every technique."""
         return base_settings(self.case.study)
 
 

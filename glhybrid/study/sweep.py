@@ -76,10 +76,12 @@ class Cell:
 
     @property
     def traced(self) -> bool:
+        """Whether any of its techniques sends rays."""
         return any(techniques.TECHNIQUES[k][n].traced for k, n in self.techniques.items())
 
     @property
     def stochastic(self) -> bool:
+        """Whether any of its techniques makes noise."""
         return any(techniques.TECHNIQUES[k][n].stochastic for k, n in self.techniques.items())
 
 

@@ -16,6 +16,7 @@ NOTES = [
 
 
 def main(folder: str, out: str) -> None:
+    """Renders what common.read finds in `folder`; common.answer writes `out`."""
     import filly
 
     path, about, sky = common.read(folder)

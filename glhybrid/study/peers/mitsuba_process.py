@@ -16,6 +16,7 @@ NOTES = [
 
 
 def main(folder: str, out: str) -> None:
+    """Renders what common.read finds in `folder`; common.answer writes `out`."""
     import mitsuba as mi
 
     mi.set_variant("llvm_ad_rgb")

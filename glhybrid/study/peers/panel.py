@@ -63,6 +63,7 @@ def interpreter(name: str) -> str | None:
 
 
 def variable(name: str) -> str:
+    """The environment variable that names its Python."""
     return f"GLHYBRID_{name.upper()}_PYTHON"
 
 

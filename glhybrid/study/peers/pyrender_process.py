@@ -17,6 +17,7 @@ NOTES = [
 
 
 def main(folder: str, out: str) -> None:
+    """Renders what common.read finds in `folder`; common.answer writes `out`."""
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
     import pyrender
     import trimesh

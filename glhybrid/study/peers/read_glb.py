@@ -35,6 +35,7 @@ class Drawn:
 
 
 def read(path: Path) -> Iterator[Drawn]:
+    """Every piece of every instance of a GLB."""
     import glhybrid
 
     scene = glhybrid.load(str(path))

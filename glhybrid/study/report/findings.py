@@ -17,6 +17,7 @@ Row = dict[str, Any]
 
 
 def section(study: "Study") -> str:
+    """The report's first section as HTML: of each scene what its figures say."""
     from glhybrid.study.results import error_key
 
     clock = study.machine.get("time", "frame_ms")

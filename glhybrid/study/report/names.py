@@ -9,12 +9,15 @@ ERROR_NAMES = {
 
 
 def anchor(scene: str) -> str:
+    """Of the scene's part of the page."""
     return "scene-" + "".join(c if c.isalnum() else "-" for c in scene)
 
 
 def axis_name(axis: str) -> str:
+    """As headings have it."""
     return AXIS_NAMES.get(axis, axis.capitalize())
 
 
 def clock_name(clock: str) -> str:
+    """As axes of charts have it."""
     return "frame time, ms" if clock == "frame_ms" else "processor time of a frame over threads, ms"
