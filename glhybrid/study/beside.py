@@ -9,7 +9,8 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
@@ -23,10 +24,14 @@ STALL_S = 90.0  # without a job done, whatever keeps them: the rest is then made
 Job = tuple[str, str]  # part of a study, name of a curve or case
 
 
-def make(
-    device: str, output: Path, quick: bool, jobs: Iterable[Job], processes: int, told: Callable[[int], None]
-) -> None:
-    """Makes the jobs in so many processes, the first ones first. told: called now and then with how many are done."""
+@contextmanager
+def making(
+    device: str, output: Path, quick: bool, jobs: Iterable[Job], processes: int
+) -> Iterator[Callable[[Callable[[int], None]], None]]:
+    """Makes the jobs in so many processes, the first ones first, until the end of the `with`.
+
+    Gives a function that waits for them; what it is given is called now and then with how many are done.
+    """
     waiting: SimpleQueue[Job] = SimpleQueue()
     for job in jobs:
         waiting.put(job)
@@ -34,9 +39,8 @@ def make(
     start = json.dumps({"device": device, "output": str(output), "quick": quick})
     running = [_start() for _ in range(processes)]
     threads = [Thread(target=_feed, args=(popen, start, waiting, finished), daemon=True) for popen in running]
-    try:
-        for thread in threads:
-            thread.start()
+
+    def wait(told: Callable[[int], None]) -> None:
         left, done, moved = processes, 0, time.monotonic()
         while left and time.monotonic() - moved < STALL_S:
             try:
@@ -48,11 +52,20 @@ def make(
             except Empty:
                 pass
             told(done)
-    finally:
+        stop()  # whoever stands still is not to go on later
+
+    def stop() -> None:
         for popen, thread in zip(running, threads, strict=True):
             popen.kill()
             thread.join()
             popen.communicate()  # closes its pipes
+
+    for thread in threads:
+        thread.start()
+    try:
+        yield wait
+    finally:
+        stop()
 
 
 def _start() -> "subprocess.Popen[str]":

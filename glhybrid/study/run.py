@@ -5,7 +5,8 @@ load -> reference.converge -> direct.find -> sweep.axis -> measure (kept in stor
 """
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -98,10 +99,11 @@ def run(
         }
         meter.expect(sum(costs[part] for part in parts))
         try:
-            for one in work:
-                one.run()
-                results.write(study, output)
-            _beside(study, device, software, output, quick, parts, costs, meter)
+            with _beside(study, renderer, device, output, quick, parts, meter) as ready:
+                for one in work:
+                    one.run(ready)
+                    results.write(study, output)
+                ready()
             for part in parts:
                 with study.timed(part):
                     if part == "ladder":
@@ -161,20 +163,33 @@ def _machine(renderer: Renderer, sizes: Sequence[tuple[int, int]], command: str)
     )
 
 
+@contextmanager
 def _beside(
-    study: Study, device: str, software: bool, output: Path, quick: bool, parts: Sequence[str],
-    costs: Mapping[str, float], meter: Meter,
-) -> None:  # fmt: skip
-    """What is not timed, made ahead on all cores where a GPU draws; the parts then find it."""
-    jobs = [(part, name) for part, names in UNTIMED.items() if part in parts for name in names()]
-    processes = 0 if software else min(threads_available() - 2, beside.MOST)
-    if not jobs or processes < 2:
-        return
+    study: Study, renderer: Renderer, device: str, output: Path, quick: bool, parts: Sequence[str], meter: Meter
+) -> Iterator[Callable[[], None]]:
+    """What is not timed, made on all cores while a GPU converges the first reference; the parts then find it.
+
+    Gives a function that waits for it, to be called before anything is timed.
+    """
     chosen = [part for part in UNTIMED if part in parts]
-    total = sum(costs[part] for part in chosen)
-    meter.begin(" and ".join(chosen))
-    with study.timed(f"{' and '.join(chosen)}, in {processes} processes"):
-        beside.make(device, output, quick, jobs, processes, lambda done: meter.part(total * done / len(jobs)))
+    jobs = [(part, name) for part in chosen for name in UNTIMED[part]()]
+    processes = 0 if renderer.context.device.software else min(threads_available() - 2, beside.MOST)
+    if not jobs or processes < 2:
+        yield lambda: None
+        return
+    assert renderer.tuning  # measured before others use the device
+    waited = False
+    with beside.making(device, output, quick, jobs, processes) as wait:
+
+        def ready() -> None:
+            nonlocal waited
+            if not waited:
+                waited = True
+                meter.begin(" and ".join(chosen))
+                with study.timed(f"{' and '.join(chosen)}, in {processes} processes beside the reference"):
+                    wait(lambda _: meter.part(0.0))
+
+        yield ready
 
 
 def _peers(

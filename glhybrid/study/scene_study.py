@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -94,7 +94,8 @@ class SceneStudy:
         pairs = self.spent.pairs if len(self.axes) > 1 else 0
         return REFERENCE_CELLS + sum(len(cells) for cells in self.axes.values()) + pairs
 
-    def run(self) -> None:
+    def run(self, ready: Callable[[], None] = lambda: None) -> None:
+        """ready: called when the reference is there, before anything is timed."""
         self.folder.mkdir(parents=True, exist_ok=True)
         with self.study.timed(f"{self.name}: reference"):
             self.reference = self._reference()
@@ -102,6 +103,7 @@ class SceneStudy:
         frame.save(self.folder / "reference.png")
         frame.save(self.folder / "reference.exr", aov=())
         self._describe()
+        ready()
         try:
             with self.study.timed(f"{self.name}: techniques"):
                 self._cells()

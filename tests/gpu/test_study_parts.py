@@ -77,7 +77,8 @@ def test_what_is_not_timed_is_made_beside(
     cases, told = ["terminator", "lattice-rays", "none such", "ao-leak"], list[int]()
     jobs = [(beside.FAILURES, name) for name in cases] + [(beside.STABILITY, "thickness")]
     device = "software" if context.device.software else "auto"
-    beside.make(device, tmp_path / "beside", True, jobs, 2, told.append)
+    with beside.making(device, tmp_path / "beside", True, jobs, 2) as wait:
+        wait(told.append)
     assert told[-1] == 4 and not list((tmp_path / "beside").rglob("none such*"))
 
     def made(folder: Path) -> list[dict[str, Any]]:
@@ -97,7 +98,8 @@ def test_processes_that_stand_still_are_not_waited_for(tmp_path: Path, monkeypat
     monkeypatch.setattr(beside, "COMMAND", "import time; time.sleep(100)")
     monkeypatch.setattr(beside, "STALL_S", 1.0)
     told = list[int]()
-    beside.make("software", tmp_path, True, [(beside.FAILURES, "acne")], 2, told.append)
+    with beside.making("software", tmp_path, True, [(beside.FAILURES, "acne")], 2) as wait:
+        wait(told.append)
     assert set(told) == {0}
 
 

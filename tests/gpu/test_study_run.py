@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -228,6 +229,25 @@ def test_pictures_compared_beside_are_compared_alike(
     for one, other in shared:
         assert {name: one[name] for name in names} == {name: other[name] for name in names}
     assert len(list((tmp_path / "beside" / "out" / "stage").glob("*.flip.png"))) == len(beside.rows)
+
+
+def test_what_is_not_timed_is_made_while_the_reference_converges(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, context: "Context"
+) -> None:
+    """As on a GPU: by other processes, and only found here."""
+    if os.environ.get("GLHYBRID_TEST_FORMS"):
+        pytest.skip("the forms of this context are not those of other processes")
+    usual, gpu = run._beside, SimpleNamespace(context=SimpleNamespace(device=SimpleNamespace(software=False)), tuning=1)
+    device = "software" if context.device.software else "auto"
+    monkeypatch.setattr(run, "_beside", lambda study, _, __, *rest: usual(study, gpu, device, *rest))  # type: ignore[arg-type]
+    monkeypatch.setattr(run, "threads_available", lambda: 4)
+    monkeypatch.setattr(run, "UNTIMED", {"failures": lambda: ["terminator"]})
+    monkeypatch.setattr(run.library, "cases", lambda: ["terminator"])
+    monkeypatch.setattr(run.library, "run", lambda *_, **__: pytest.fail("was made beside"))
+    study = _run(tmp_path, monkeypatch, context, only=("ray", "ray-lerp"), parts=("failures",))
+    assert [row["verdict"] for row in study.failures] == ["fails as expected", "holds"]
+    made = list(study.seconds)
+    assert made[1] == "failures, in 2 processes beside the reference" and made[2] == "stage: techniques", made
 
 
 def test_a_process_that_compares_says_what_is_wrong(tmp_path: Path) -> None:
