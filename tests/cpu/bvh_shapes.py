@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from glhybrid.bvh import Blas
+
 Triangles = NDArray[np.float32]
 
 
@@ -108,3 +110,12 @@ def axis_rays() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     places = np.array([(x, y, z) for x in range(-1, 8) for y in range(-1, 8) for z in range(-1, 8)], np.float32)
     places = np.concatenate([places, places + np.float32(0.5), places + np.float32([0.5, 0, 0.25])])
     return np.repeat(places, len(steps), axis=0), np.tile(steps, (len(places), 1))
+
+
+def same(a: Blas, b: Blas) -> bool:
+    """Equal to the bit, but for how long it took to build."""
+    arrays = ("nodes", "slots", "grid_min", "grid_step", "bounds")
+    return all(np.array_equal(getattr(a, n), getattr(b, n)) for n in arrays) and (a.depth, a.sah_cost) == (
+        b.depth,
+        b.sah_cost,
+    )
