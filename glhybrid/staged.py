@@ -4,7 +4,6 @@ frame.py has the frame itself. Here is what surrounds it: trees and buffers, whi
 time and the camera, the samples of a picture, and what is read back.
 """
 
-import dataclasses
 from collections.abc import Iterator
 from typing import Any
 
@@ -26,6 +25,7 @@ from glhybrid.passes.sky import Sky
 from glhybrid.probe_capture import Capture
 from glhybrid.readback import Reading, at_once
 from glhybrid.scene import Camera, Scene
+from glhybrid.scene_change import only_numbers_differ
 from glhybrid.settings import Settings
 from glhybrid.shaders import Shaders
 from glhybrid.targets import Targets
@@ -198,7 +198,7 @@ class Staged:
 
     def _like(self, scene: Scene) -> bool:
         """Whether a scene differs at most in numbers of its lights and of its environment."""
-        return scene is self.scene or differs_in_numbers(scene, self.scene)
+        return scene is self.scene or only_numbers_differ(scene, self.scene)
 
     def resume(
         self, scene: Scene, settings: Settings, size: tuple[int, int], spare: bool = False,
@@ -385,23 +385,3 @@ def _jitter(i: int, count: int) -> tuple[float, float]:
     if count == 1:
         return 0.0, 0.0
     return (i + 0.5) / count - 0.5, (i * 0.61803398875 + 0.5) % 1.0 - 0.5
-
-
-def differs_in_numbers(a: Scene, b: Scene) -> bool:
-    """Whether two scenes are the same but for numbers of lights, and the turn and intensity of the environment."""
-    for field in dataclasses.fields(Scene):
-        if field.name not in ("lights", "environment") and getattr(a, field.name) is not getattr(b, field.name):
-            return False
-    if len(a.lights) != len(b.lights) or (a.environment is None) != (b.environment is None):
-        return False
-    if a.environment is not None and b.environment is not None:
-        if a.environment.radiance is not b.environment.radiance:
-            return False
-        if (a.environment.intensity > 0) != (b.environment.intensity > 0):
-            return False
-    return all(
-        p is q
-        or (p.kind, p.node, p.radius > 0, p.angular_diameter > 0)
-        == (q.kind, q.node, q.radius > 0, q.angular_diameter > 0)
-        for p, q in zip(a.lights, b.lights, strict=True)
-    )
