@@ -74,7 +74,7 @@ def test_a_whole_report(
         (1000, 1),
         (1000, 0),
     ]
-    assert all(row["pose_ms"] > 0 and row["tlas_ms"] > 0 and row["frame_ms"] > 0 for row in said["instances"])
+    assert all(min(row[k] for k in ("pose_ms", "tlas_ms", "frame_ms", "host_us")) > 0 for row in said["instances"])
     assert [row["way"] for row in said["readback"]] == ["drawn", "ring 1", "ring 2", "ring 3", "frames", "single"]
     assert all(row["per_second"] > 0 for row in said["readback"])
     report = run(quick=True, size=SIZE, context=context)
