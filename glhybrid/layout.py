@@ -383,7 +383,7 @@ CHANNELS: dict[str, Channel] = {
             for name, parts, kind, form, meaning in (
                 ("guide", 4, "u4", "rgba32ui", "normal, depth along the view axis, row of records, roughness"),
                 *(
-                    (f"{signal}_{kept}", parts, "f4" if parts > 1 else "f2", form, f"{what}: {meaning}")
+                    (f"{signal}_{kept}", parts, "f2" if "16f" in form else "f4", form, f"{what}: {meaning}")
                     for signal, what in (
                         ("reflection", "reflections"),
                         ("reflection_coat", "those of the clearcoat"),
@@ -392,7 +392,7 @@ CHANNELS: dict[str, Channel] = {
                     )
                     for kept, parts, form, meaning in (
                         ("history", 4, "rgba32f", "mean of all frames; over how many m it changes"),
-                        ("counts", 1, "r16f", "rays"),
+                        ("counts", 2, "rg16f", "rays; root of the luminance about each pixel in the last frames"),
                         ("level", 2, "rg32f", "luminance about each pixel, its variance"),
                     )
                 ),

@@ -14,7 +14,7 @@ uniform SIGNAL_SAMPLER signal;           // mean of this frame's samples; a: dis
 uniform sampler2D noise;                 // mean square over squared mean, samples
 #endif
 uniform SIGNAL_SAMPLER history;          // mean; a: length over which the truth changes, m
-uniform SIGNAL_SAMPLER counts;           // samples in it
+uniform SIGNAL_SAMPLER counts;           // samples in it; root of the luminance about each pixel in the last frames
 uniform SIGNAL_SAMPLER level_before;     // luminance about each pixel, its variance
 uniform usampler2D guide_before;
 #if USE_MOVING
@@ -25,7 +25,7 @@ uniform float history_frames, samples;
 #include "lib/reuse.glsl"
 #endif
 layout(SIGNAL_FORMAT) writeonly uniform SIGNAL_IMAGE out_history;
-layout(r16f) writeonly uniform SIGNAL_IMAGE out_counts;
+layout(rg16f) writeonly uniform SIGNAL_IMAGE out_counts;
 layout(rgba32f) writeonly uniform image2D out_filtered;    // mean; a: variance of its luminance, < 0: not to be touched
 
 // This frame's samples about the pixel. All of luminance; variance: of one sample, within pixels if these hold several;
@@ -110,8 +110,9 @@ float mirror_share(float roughness, float NoV) {
     return clamp(pow(1.0 - NoV, 10.8649) * (1.0 - a) + a, 0.0, 1.0);
 }
 
-// level: luminance about the point; variance: of one sample there; frames: how many may count.
-struct Past { vec4 mean; float level, variance, samples, drift; };
+// level: luminance about the point, of all frames; lately: of the last ones; variance: of one sample there; drift: of a frame.
+struct Past { vec4 mean; float level, lately, variance, samples, drift; };
+const Past NO_PAST = Past(vec4(0.0), 0.0, 0.0, 0.0, 0.0, 0.0);
 
 const float DRIFT = 1.0;
 
@@ -133,14 +134,16 @@ float resampled(vec2 f, Guide g, float extent) {
 #endif
 
 Past look_back(ivec2 px, Guide g, Near near) {
-    Past past = Past(vec4(0.0), 0.0, 0.0, 0.0, 0.0);
+    Past past = NO_PAST;
     if (frame.history == HISTORY_NONE) return past;
     if (frame.history == HISTORY_SAME_VIEW) {
         uvec4 bits = texelFetch(guide_before, px, 0);
         if (bits.z == g.record) {
             vec2 about = texelFetch(level_before, AT(px), 0).xy;
             past.mean = texelFetch(history, AT(px), 0);
-            past.samples = texelFetch(counts, AT(px), 0).x;
+            vec2 count = texelFetch(counts, AT(px), 0).xy;
+            past.samples = count.x;
+            past.lately = square(count.y);
             past.level = about.x;
             past.variance = about.y * near.worth * as_random(past.samples);
         }
@@ -170,18 +173,20 @@ Past look_back(ivec2 px, Guide g, Near near) {
         if (bits.z != g.record || dot(guide_normal(bits), g.n) < 0.9) continue;
         // A visibility stays with its point; a reflection is only held to its surface, whose depth there is another.
         if (IS_VISIBILITY && abs(uintBitsToFloat(bits.y) - depth) > 0.02 * abs(depth) + 4.0 * pixel_width(depth)) continue;
-        float count = texelFetch(counts, AT(q), 0).x;
-        if (count <= 0.0) continue;
+        vec2 count = texelFetch(counts, AT(q), 0).xy;
+        if (count.x <= 0.0) continue;
         vec2 about = texelFetch(level_before, AT(q), 0).xy;
         past.mean += w * texelFetch(history, AT(q), 0);
-        past.samples += w * count;
+        past.samples += w * count.x;
+        past.lately += w * square(count.y);
         past.level += w * about.x;
-        past.variance += w * about.y * near.worth * as_random(count);
+        past.variance += w * about.y * near.worth * as_random(count.x);
         weight += w;
     }
-    if (weight < 0.01) return Past(vec4(0.0), 0.0, 0.0, 0.0, 0.0);
+    if (weight < 0.01) return NO_PAST;
     past.mean /= weight;
     past.level /= weight;
+    past.lately /= weight;
     past.samples /= weight;
     past.variance /= weight;
 #if USE_DENOISE_SIGNAL == 3
@@ -190,17 +195,36 @@ Past look_back(ivec2 px, Guide g, Near near) {
     return past;
 }
 
-// History that this frame's samples contradict is moved to what they allow, and counts for less. What is compared are means
-// about the pixel: its own past is as noisy as it is young.
-void hold(inout Past past, Near near, float frame_samples) {
-    float chance = max(near.variance, past.variance) * (1.0 / as_random(frame_samples) + 1.0 / as_random(past.samples)) / near.worth;
-    float allowed = 3.0 * sqrt(chance) + 1e-3 * near.mean;
-    float off = abs(past.level - near.mean);
+const float LEAST_CHANGE = 2e-3;         // roundings of half floats, twice
+
+// History that what was seen since contradicts is moved to what that allows, and counts for less. What is compared are means
+// about the pixel: its own past is as noisy as it is young. chance: variance of their difference.
+void hold(inout Past past, float seen, float chance) {
+    float allowed = 3.0 * sqrt(chance) + LEAST_CHANGE * seen;
+    float off = abs(past.level - seen);
     if (off <= allowed) return;
-    float keep = allowed / off, scale = (near.mean + (past.level - near.mean) * keep) / max(past.level, 1e-9);
+    float keep = allowed / off, now = seen + (past.level - seen) * keep, scale = now / max(past.level, 1e-9);
     past.mean.rgb *= scale;
     past.variance *= square(scale);
     past.samples *= past.level > 1e-9 ? square(square(keep)) : 0.0;
+    past.level = now;
+}
+
+const float LATELY = 0.25;               // share of this frame in the mean of the last ones
+const float LATELY_FRAMES = 7.0;         // frames whose plain mean is as noisy: (2 - LATELY) / LATELY
+const float LATELY_LEAST = 0.2;          // of the variance that was, where less is seen now
+
+// What goes at once shows in one frame, what goes by less than one frame's noise in several ("fast history": Zhdan 2021).
+// Only what is gone: what comes may be one bright ray of many, which stays in the mean of the last frames, but not in the
+// variance of this one.
+void forget(inout Past past, Near near, float frame_samples) {
+    float variance = max(near.variance, past.variance) / near.worth, before = 1.0 / as_random(past.samples);
+    float allowed = 3.0 * sqrt(variance / as_random(frame_samples)) + LEAST_CHANGE * near.mean;
+    past.lately = mix(clamp(past.lately, near.mean - allowed, near.mean + allowed), near.mean, LATELY);
+    hold(past, near.mean, variance * (1.0 / as_random(frame_samples) + before));
+    if (past.samples <= 0.0 || past.lately >= past.level) return;
+    variance = max(sqrt(near.variance * past.variance), LATELY_LEAST * past.variance) / near.worth;
+    hold(past, past.lately, variance * (1.0 / as_random(LATELY_FRAMES * frame_samples) + before));
 }
 
 void main() {
@@ -209,13 +233,15 @@ void main() {
     uvec4 bits = texelFetch(guide, px, 0);
     vec4 s = texelFetch(signal, AT(px), 0);
     vec4 mean = vec4(s.rgb, 0.0), filtered = vec4(s.rgb, -1.0);
-    float count = 0.0;
+    float count = 0.0, lately = 0.0;
     vec2 n = is_surface(bits) && has_signal(s) ? noise_of(px, s) : vec2(0.0);
     if (n.y > 0.0) {
         Guide g = unpack_guide(bits, vec2(px));
         Near near = look_around(px, g);
         Past past = look_back(px, g, near);
-        if (past.samples > 0.0) hold(past, near, n.y);
+        if (past.samples > 0.0) forget(past, near, n.y);
+        else past.lately = near.mean;
+        lately = past.lately;
 #if USE_REUSE
         float trusted = min(past.samples, 8.0 * (frames_of(past.drift, n.y) - 1.0) * n.y);
         Reused reused = reuse_rays(px, g, toward_eye(g), length_of(vec4(near.nearest), g), near.nearest, trusted);
@@ -237,6 +263,6 @@ void main() {
         filtered = vec4(mean.rgb, mix(past.variance, near.variance, now) / as_random(count));
     }
     imageStore(out_history, AT(px), mean);
-    imageStore(out_counts, AT(px), vec4(count));
+    imageStore(out_counts, AT(px), vec4(count, sqrt(lately), 0.0, 0.0));
     imageStore(out_filtered, px, filtered);
 }
