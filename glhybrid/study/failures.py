@@ -5,6 +5,7 @@ fail with the range expected, and techniques that must hold with their bar.
 """
 
 from collections.abc import Callable, Iterable
+from functools import lru_cache
 from typing import Any
 
 import glhybrid
@@ -23,7 +24,12 @@ Progress = Callable[[str, int, int], None]
 
 def cases() -> list[str]:
     """The names of all cases."""
-    return [scene.name.removeprefix("failures/") for scene in builtin.failures()]
+    return list(_cases())
+
+
+@lru_cache
+def _cases() -> tuple[str, ...]:
+    return tuple(scene.name.removeprefix("failures/") for scene in builtin.failures())  # reads every file
 
 
 def load(name: str) -> Case:
