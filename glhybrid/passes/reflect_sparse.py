@@ -36,10 +36,12 @@ class ReflectSparse:
         split: bool = False,
     ) -> None:
         self._gl, self._scene, self._features = context.gl, scene, features
-        stems, listed = programs(features, split), features.replace(pixel_list=True)
-        self._grid = [shaders.compute(stem, features) for stem in stems]
+        # Rays on the list are too few to fill a GPU for long: it mostly waits for the longest, and so once less.
+        listed = features.replace(pixel_list=True, mirror_shadows=split and features.shadow_bits)
+        self._guide = [shaders.compute("reflect_guide", features)] * split
+        self._grid = [shaders.compute(stem, features) for stem in programs(features, split)]
         self._resolve = shaders.compute("reflect_resolve", features)
-        self._rest = [shaders.compute(stem, listed) for stem in stems]
+        self._rest = [shaders.compute(stem, listed) for stem in programs(listed, split)]
         self._images = handed_on(features) if split else ()
         self._contrast = settings.parameter("reflections.ray-lerp.contrast")
         self._count = context.gl.buffer(reserve=16)
@@ -61,6 +63,8 @@ class ReflectSparse:
         given |= {name: targets.get(name) for name in self._images}
         if self._features.reason:
             given["out_reason"] = targets.get("reason")
+        for program in self._guide:
+            program.dispatch(given, cells, wait=False)  # while the rays are on their way
         for program in (*self._grid, self._resolve):
             program.dispatch(given, cells)
         for program in self._rest:

@@ -1,6 +1,7 @@
 // passes/reflect_ray.comp -- `reflect` in parts, 1: the mirror ray of each pixel, and what it meets.
 #include "lib/mirror.glsl"
-#include "lib/mirror_guide.glsl"
+#include "lib/mirror_pixel.glsl"
+#include "lib/shade.glsl"
 
 #if USE_MIRROR_SHADOWS
 layout(r32ui) writeonly restrict uniform uimage2D mirror_lit;    // a bit a light
@@ -17,7 +18,6 @@ void main() {
     hit.t = 0.0;
     Ray ray = Ray(vec3(0.0), 0.0, vec3(0.0), INFINITY);
     uint reason = REASON_NONE;
-    if (GUIDES) store_guide(px, uvec4(0u));
     if (covered(p)) {
         Surface s = load_surface(p);
         bool bent;
@@ -25,7 +25,6 @@ void main() {
         bool smooth_enough = sends_mirror_ray(s);
         reason = smooth_enough ? (bent ? REASON_BELOW : REASON_NONE) : REASON_ROUGH;
         if (smooth_enough) {
-            if (GUIDES) store_guide(px, guide_of(p, s, ray.dir));            // first: less is alive beside the traversal
             ray.origin = ray_origin(s.point, ray.dir);
             hit = measured(closest_hit(ray), ray);
             if (hit.triangle == ID_NONE && !bent) reason = REASON_ENVIRONMENT;

@@ -1,0 +1,17 @@
+// passes/reflect_guide.comp -- `reflect` in parts: what pixels between must know of the mirror rays of the grid. Beside their
+// traversal this is dear (an H100 then takes twice the time for each ray of Sponza), while they are on their way it is not.
+#include "lib/mirror_guide.glsl"
+
+void main() {
+    ivec2 px;
+    if (!mirror_pixel(px)) return;
+    Pixel p = load_pixel(px);
+    uvec4 guide = uvec4(0u);
+    if (covered(p)) {
+        Surface s = load_surface(p);
+        bool bent;
+        vec3 r = mirror_direction(s, -p.ray.dir, bent);
+        if (sends_mirror_ray(s)) guide = guide_of(p, s, r);
+    }
+    store_guide(px, guide);
+}
