@@ -35,9 +35,11 @@ class ReflectSparse:
         settings: Settings,
         split: bool = False,
     ) -> None:
-        self._gl, self._scene, self._features = context.gl, scene, features
-        # Rays on the list are too few to fill a GPU for long: it mostly waits for the longest, and so once less.
-        listed = features.replace(pixel_list=True, mirror_shadows=split and features.shadow_bits)
+        self._gl, self._scene = context.gl, scene
+        # A part of the rays does not keep a GPU busy for long: it waits for the longest. Shadow rays go with them.
+        features = features.replace(mirror_shadows=split and features.shadow_bits)
+        listed = features.replace(pixel_list=True)
+        self._features = features
         self._guide = [shaders.compute("reflect_guide", features)] * split
         self._grid = [shaders.compute(stem, features) for stem in programs(features, split)]
         self._resolve = shaders.compute("reflect_resolve", features)

@@ -10,10 +10,13 @@ layout(rgba32ui) writeonly restrict uniform uimage2D out_guide;
 
 // direction, distance of the surface that it leaves, `beside`.
 uvec4 guide_of(Pixel p, Surface s, vec3 dir) {
-    // The share of what the ray sees that the pixel shows, and at least so much that it shows beside it: in that, errors of the
+    // The share of what the ray sees that the pixel shows, and what it shows beside it without a lamp: in that, errors of the
     // reflection go under. Weights as in indirect_light.
     Bsdf b = s.bsdf;
-    vec3 share = specular_albedo(b, -p.ray.dir) * (is_mirror(b) ? 1.0 : 1.0 - b.roughness), rest = diffuse_sky(s);
+    float blurred = is_mirror(b) ? 0.0 : b.roughness;
+    vec3 share = specular_albedo(b, -p.ray.dir), rest = diffuse_sky(s);
+    if (SPECULAR_SKY) rest += share * blurred * environment_prefiltered(dir, b.roughness);
+    share *= 1.0 - blurred;
     if (CLEARCOAT && b.clearcoat > 0.0) {
         float f = coat_fresnel(b, -p.ray.dir);
         share = share * (1.0 - f) + f * (1.0 - b.clearcoat_roughness);
