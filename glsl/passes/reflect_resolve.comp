@@ -30,13 +30,12 @@ Sent sent_from(ivec2 cell) {
 
 bool alike(vec3 a, vec3 b, float beside) { return all(lessThan(abs(a - b), vec3(contrast * (max3(max(a, b)) + beside)))); }
 
-// Whether a point lies midway between two, both look about the same way, and see about the same.
-bool between(Sent a, Sent b, vec3 from) {
-    if (isinf(a.seen.a) != isinf(b.seen.a)) return false;
-    if (distance(from, 0.5 * (a.from + b.from)) > 0.25 * distance(a.from, b.from)) return false;
-    if (dot(a.dir, b.dir) < 0.98) return false;                            // 11 degrees
-    return alike(a.seen.rgb, b.seen.rgb, min(a.beside, b.beside));
+// Whether two look about the same way, 11 degrees, and see about the same.
+bool alike(Sent a, Sent b) {
+    return isinf(a.seen.a) == isinf(b.seen.a) && dot(a.dir, b.dir) >= 0.98 && alike(a.seen.rgb, b.seen.rgb, min(a.beside, b.beside));
 }
+
+bool midway(Sent a, Sent b, vec3 from) { return distance(from, 0.5 * (a.from + b.from)) <= 0.25 * distance(a.from, b.from); }
 
 // Whether some point of a material may send a mirror ray: as `reflective` in glhybrid/needs.py.
 bool may_send(Material m) {
@@ -50,22 +49,28 @@ bool may_send(Material m) {
 // A pixel from two pairs that lie on both sides of it, a and b the nearer; false: it needs a ray of its own.
 bool resolve(ivec2 px, Sent a, Sent b, Sent c, Sent d) {
     if (any(greaterThanEqual(px, frame.size_px))) return true;             // groups overhang the edge
-    Pixel p = load_pixel(px);
+    uvec2 id = texelFetch(gbuffer_id, px, 0).xy;
+    bool sends = false, surface = id.y != ID_NONE;
     vec4 result = vec4(0.0);
-    uint material = covered(p) ? hit_group_of(p.hit.instance, p.hit.geometry).material : ID_NONE;
-    bool sends = covered(p) && may_send(material_row(material));
+    if (surface) {
+        uint material = hit_group_of(id.x, texelFetch(triangles, int(id.y)).w).material;
+        sends = may_send(material_row(material));
+        if (sends && any(notEqual(uvec4(a.material, b.material, c.material, d.material), uvec4(material)))) return false;
+    }
     if (sends) {
-        if (any(notEqual(uvec4(a.material, b.material, c.material, d.material), uvec4(material)))) return false;
-        vec3 from = p.ray.origin + p.hit.t * p.ray.dir;
         float beside = min(min(a.beside, b.beside), min(c.beside, d.beside));
         bool faint = max3(max(max(a.seen.rgb, b.seen.rgb), max(c.seen.rgb, d.seen.rgb))) < contrast * beside;
-        bool agree = alike(a.seen.rgb + b.seen.rgb, c.seen.rgb + d.seen.rgb, 2.0 * beside);
-        if (!faint && !(agree && between(a, b, from) && between(c, d, from))) return false;
+        if (!faint) {
+            if (!alike(a, b) || !alike(c, d) || !alike(a.seen.rgb + b.seen.rgb, c.seen.rgb + d.seen.rgb, 2.0 * beside)) return false;
+            Pixel p = pixel_of(px, id);
+            vec3 from = p.ray.origin + p.hit.t * p.ray.dir;
+            if (!midway(a, b, from) || !midway(c, d, from)) return false;
+        }
         result = 0.5 * (a.seen + b.seen);
     }
     imageStore(out_reflection, px, result);
 #if USE_REASON
-    imageStore(out_reason, px, uvec4(!covered(p) ? REASON_NONE : !sends ? REASON_ROUGH : imageLoad(out_reason, pixel_of(tile_pixel())).x));
+    imageStore(out_reason, px, uvec4(!surface ? REASON_NONE : !sends ? REASON_ROUGH : imageLoad(out_reason, pixel_of(tile_pixel())).x));
 #endif
     return true;
 }
