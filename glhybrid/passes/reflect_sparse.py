@@ -36,9 +36,8 @@ class ReflectSparse:
         split: bool = False,
     ) -> None:
         self._gl, self._scene = context.gl, scene
-        # A part of the rays does not keep a GPU busy for long: it waits for the longest. Shadow rays go with them.
-        features = features.replace(mirror_shadows=split and features.shadow_bits)
-        listed = features.replace(pixel_list=True)
+        # Rays of the list are too few to keep a GPU busy: it waits for the longest, and once less if shadow rays go along.
+        listed = features.replace(pixel_list=True, mirror_shadows=split and features.shadow_bits)
         self._features = features
         self._guide = [shaders.compute("reflect_guide", features)] * split
         self._grid = [shaders.compute(stem, features) for stem in programs(features, split)]
