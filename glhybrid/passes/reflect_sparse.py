@@ -36,7 +36,7 @@ class ReflectSparse:
         split: bool = False,
     ) -> None:
         self._gl, self._scene = context.gl, scene
-        # Rays of the list are too few to keep a GPU busy: it waits for the longest, and once less if shadow rays go along.
+        # Few rays do not keep a GPU busy: it waits for the longest, and once less if shadow rays go along.
         listed = features.replace(pixel_list=True, mirror_shadows=split and features.shadow_bits)
         self._features = features
         self._guide = [shaders.compute("reflect_guide", features)] * split

@@ -1,5 +1,6 @@
-// passes/reflect_guide.comp -- `reflect` in parts: what pixels between must know of the mirror rays of the grid. Beside their
-// traversal this is dear (an H100 then takes twice the time for each ray of Sponza), while they are on their way it is not.
+// passes/reflect_guide.comp -- `reflect` in parts: what pixels between must know of the mirror rays of the grid. Not beside
+// their traversal (an H100 then took 1.24 ms for half the rays of Sponza, without it 1.04 for all), but while they are on
+// their way.
 #include "lib/mirror_guide.glsl"
 
 void main() {
