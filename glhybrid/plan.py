@@ -134,7 +134,8 @@ def _shared(features: Features, settings: Settings) -> str:
     contrast = settings.parameter("reflections.ray-lerp.contrast")
     return (
         f"mirror rays leave one pixel in {part}, and those between where the picture would change by more than"
-        f" {100 * contrast:g} %: things thinner than that grid may be missing from reflections"
+        f" {100 * contrast:g} %: things thinner than that grid may be missing from reflections; two rounds of"
+        " programs, which are faster than a ray for each pixel only where most of the picture reflects"
     )
 
 
