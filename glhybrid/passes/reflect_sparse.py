@@ -36,8 +36,8 @@ class ReflectSparse:
         split: bool = False,
     ) -> None:
         self._gl, self._scene = context.gl, scene
-        # Few rays do not keep a GPU busy: it waits for the longest, and once less if shadow rays go along.
-        listed = features.replace(pixel_list=True, mirror_shadows=split and features.shadow_bits)
+        # Shadow rays of the list in the program of its mirror rays take an H100 up to 1.7 times as long as both apart.
+        listed = features.replace(pixel_list=True)
         self._features = features
         self._guide = [shaders.compute("reflect_guide", features)] * split
         self._grid = [shaders.compute(stem, features) for stem in programs(features, split)]
