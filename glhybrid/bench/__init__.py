@@ -30,7 +30,7 @@ SAME_T = 1e-5  # relative: one tree, one arithmetic
 SAME_PLACE = 1e-3  # relative: vertices rounded otherwise, so that grazing rays meet the surface elsewhere
 ROUNDING = 4 * 2.0**-24  # of the largest coordinate: what float32 cannot tell
 OTHER_ROUNDING = 1e-4  # share of rays that may differ where vertices are rounded otherwise, or edges are not watertight
-PEERS = ("embree", "embree_robust", "mitsuba")
+PEERS = ("embree", "embree_fast", "mitsuba")
 FEW = 4  # rays that make no share
 Works = dict[tuple[str, Any], tuple[Callable[[], None], Callable[[], NDArray[Any]]]]
 
@@ -156,7 +156,7 @@ class _Bench:
             if self.with_peers and corners is None:
                 self.report.note(f"{name}: no peers, for it has analytic spheres or too many triangles to flatten")
             elif self.with_peers and not peers.Embree.missing and corners is not None:
-                embrees = [peers.Embree(corners, robust) for robust in (False, True)]
+                embrees = [peers.Embree(corners, fast) for fast in (False, True)]
                 theirs = {(c, e.name): e.launch(c, tracer.rays[c]) for c in classes for e in embrees}
             samples = self._time(ours, theirs)
             found = {key: read() for key, (_, read) in (ours | theirs).items()}

@@ -1,7 +1,7 @@
 """Other tracers on the same rays: Embree through embreex in this process, Mitsuba 3 in its own.
 
-Embree is asked ray by ray, in its default mode, which is what its users have and may miss an edge, and in its robust
-one, which like ours does not; Mitsuba by its LLVM variant with all rays at once. Their rates are per CPU second, as is
+Embree is asked ray by ray, in its robust mode, embreex's default and watertight like ours, and in its fast one, which
+may miss an edge; Mitsuba by its LLVM variant with all rays at once. Their rates are per CPU second, as is
 all that ratios are made of.
 """
 
@@ -27,18 +27,18 @@ MITSUBA_TIMEOUT_S = 300
 
 
 class Embree:
-    """Embree's tree over (T, 3, 3) corners. `missing` says why there is none, or is empty. robust: watertight."""
+    """Embree's tree over (T, 3, 3) corners. `missing` says why there is none, or is empty. fast: not watertight."""
 
     missing = "" if importlib.util.find_spec("embreex") else "embreex is not installed (pip install embreex)"
 
-    def __init__(self, corners: F32, robust: bool = False) -> None:
+    def __init__(self, corners: F32, fast: bool = False) -> None:
         from embreex import rtcore_scene
         from embreex.mesh_construction import TriangleMesh
 
-        self.name = "embree_robust" if robust else "embree"
+        self.name = "embree_fast" if fast else "embree"
         # One vertex for each place, as a mesh loaded for Embree would have it: separate corners cost it cache.
         position, index = np.unique(corners.reshape(-1, 3).view([("", np.float32)] * 3), return_inverse=True)
-        self._scene = rtcore_scene.EmbreeScene(robust=robust)
+        self._scene = rtcore_scene.EmbreeScene(robust=not fast)
         self._mesh = TriangleMesh(
             self._scene,
             np.ascontiguousarray(position.view(np.float32).reshape(-1, 3)),

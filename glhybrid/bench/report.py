@@ -34,7 +34,7 @@ class Row:
     cpu_ms: float
     gpu_ms: float | None
     ratio_embree_per_core: float | None = None
-    ratio_embree_robust_per_core: float | None = None
+    ratio_embree_fast_per_core: float | None = None
     ratio_mitsuba_per_core: float | None = None
     steps_per_ray: float | None = None
     own: bool = False  # the variant that the renderer uses
@@ -49,7 +49,7 @@ class Row:
         """How the rate came about: one entry of machine.measurements."""
         keys = (
             "scene", "triangles", "rays", "variant", "live", "clock", "spread", "wall_ms", "cpu_ms", "gpu_ms",
-            "steps_per_ray", "ratio_embree_robust_per_core", "ratio_mitsuba_per_core",
+            "steps_per_ray", "ratio_embree_fast_per_core", "ratio_mitsuba_per_core",
         )  # fmt: skip
         return {key: getattr(self, key) for key in keys}
 
@@ -167,7 +167,7 @@ def _show_rays(rows: Sequence[Row]) -> None:
         groups.setdefault((row.scene, row.triangles, row.variant), {})[row.rays] = row
     peers = {
         f"to {name} a core": f"ratio_{key}_per_core"
-        for key, name in (("embree", "Embree"), ("embree_robust", "robust Embree"), ("mitsuba", "Mitsuba"))
+        for key, name in (("embree", "Embree"), ("embree_fast", "fast Embree"), ("mitsuba", "Mitsuba"))
         if any(getattr(row, f"ratio_{key}_per_core") is not None for row in rows)
     }
     timed = any(row.gpu_ms is not None for row in rows)
