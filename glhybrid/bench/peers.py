@@ -1,8 +1,8 @@
 """Other tracers on the same rays: Embree through embreex in this process, Mitsuba 3 in its own.
 
 Embree is asked ray by ray, in its robust mode, embreex's default and watertight like ours, and in its fast one, which
-may miss an edge; Mitsuba by its LLVM variant with all rays at once. Their rates are per CPU second, as is
-all that ratios are made of.
+may miss an edge; Mitsuba by its LLVM variant with all rays at once. Their rates are per CPU second, as is all that
+ratios are made of.
 """
 
 import importlib.util
