@@ -13,13 +13,9 @@ import numpy as np
 
 from glhybrid import layout, lightmap, lightmap_seams
 from glhybrid.bvh.blas import threads_available
-from glhybrid.context import Context
-from glhybrid.gpu_scene import GpuScene
 from glhybrid.lightmap import Lightmap
-from glhybrid.needs import Features
 from glhybrid.scene import F32, U32
-from glhybrid.settings import Settings
-from glhybrid.shaders import Shaders
+from glhybrid.setup import Setup
 from glhybrid.timing import Progress
 
 ROWS_AT_ONCE = 1 << 17  # texels in a dispatch
@@ -34,13 +30,10 @@ Plane = tuple[int, bytes]  # the light's number; (pages, height, width, componen
 class Bake:
     """One baking of some lights of a scene onto a map."""
 
-    def __init__(
-        self, context: Context, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings,
-        map_: Lightmap, progress: Progress | None,
-    ) -> None:  # fmt: skip
-        self._tracer = _Tracer(context, shaders, scene, features, settings, map_)
-        self._scene, self._map, self._progress = scene, map_, progress
-        self._components = 4 if features.blended else 1
+    def __init__(self, setup: Setup, map_: Lightmap, progress: Progress | None) -> None:
+        self._tracer = _Tracer(setup, map_)
+        self._scene, self._map, self._progress = setup.scene, map_, progress
+        self._components, settings = 4 if setup.features.blended else 1, setup.settings
         self._samples = int(settings.parameter("shadows.baked.samples"))
         try:
             self._points = self._tracer.points(progress)
@@ -167,11 +160,9 @@ def _bar(progress: Progress | None, stage: str) -> Callable[[int, int], None]:
 class _Tracer:
     """The programs of the bake and their buffers, in a world rebased on its middle: no camera has a say."""
 
-    def __init__(
-        self, context: Context, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings,
-        map_: Lightmap,
-    ) -> None:  # fmt: skip
-        gl, self._scene, self._map, self._write = context.gl, scene, map_, context.write
+    def __init__(self, setup: Setup, map_: Lightmap) -> None:
+        shaders, scene, features = setup.shaders, setup.scene, setup.features
+        gl, self._scene, self._map, self._write = setup.context.gl, scene, map_, setup.context.write
         centre = np.round(scene.scene.bounds().mean(0))
         scene.rebase(centre)
         constants = np.zeros(1, layout.dtype("FrameConstants"))
@@ -187,7 +178,7 @@ class _Tracer:
         )
         # Both sides of everything are met: what is behind a face says whether a point is inside.
         self._push = None
-        if settings.parameter("shadows.baked.push"):
+        if setup.settings.parameter("shadows.baked.push"):
             self._push = shaders.compute("baked_push", features.replace(single_sided=False))
         self._compute = lambda stem: shaders.compute(stem, features)  # only what some light asks for is compiled
         self._reach = lightmap.REACH / map_.density

@@ -6,10 +6,7 @@ What is not called for is None and costs nothing: no program, no image, no dispa
 from collections.abc import Callable
 from typing import Any
 
-from glhybrid.context import Context
 from glhybrid.frame_constants import FrameConstants
-from glhybrid.gpu_scene import GpuScene
-from glhybrid.needs import Features
 from glhybrid.passes.baked import Baked
 from glhybrid.passes.composite import Composite
 from glhybrid.passes.denoise import Denoise
@@ -26,9 +23,7 @@ from glhybrid.passes.shadow_map import ShadowMap
 from glhybrid.passes.shadow_soft import ShadowSoft
 from glhybrid.passes.ssao import Ssao
 from glhybrid.passes.ssr import Ssr
-from glhybrid.plan import Plan
-from glhybrid.settings import Settings
-from glhybrid.shaders import Shaders
+from glhybrid.setup import Setup
 from glhybrid.targets import Targets
 from glhybrid.timing import Progress
 
@@ -39,53 +34,44 @@ class Passes:
     """Kim's frame: what is seen, what light reaches it, what it reflects, together. Made and run in that order."""
 
     def __init__(
-        self,
-        context: Context,
-        shaders: Shaders,
-        scene: GpuScene,
-        features: Features,
-        settings: Settings,
-        plan: Plan,
-        constants: FrameConstants,
-        display: Display,
-        progress: Progress | None = None,
+        self, setup: Setup, constants: FrameConstants, display: Display, progress: Progress | None = None
     ) -> None:
-        self._context, self._shaders, self._scene, self._features = context, shaders, scene, features
-        self._constants = constants
+        self._setup, self._constants = setup, constants
+        features, settings = setup.features, setup.settings
+        self._basics = setup.shaders, setup.scene, features  # all that most passes are made from
         self.shadow: Shadow | ShadowMap | ShadowSoft | Baked | None = None
         if features.shadow_maps:
-            self.shadow = ShadowMap(context, shaders, scene, features, settings)
+            self.shadow = ShadowMap(setup)
         elif features.lightmap:
-            self.shadow = Baked(context, shaders, scene, features, settings, progress)
+            self.shadow = Baked(setup, progress)
         elif features.visibility and features.light_discs:
-            self.shadow = ShadowSoft(shaders, scene, features, settings)
+            self.shadow = ShadowSoft(setup)
         elif features.visibility:
-            self.shadow = Shadow(shaders, scene, features)
+            self.shadow = Shadow(*self._basics)
 
         self._gbuffers: dict[bool, GBufferRaster | GBufferTrace] = {}  # after light maps, which may be given up
-        self._joined = plan.joined
         self.rays: Rays | None = None
-        self.see(plan.primary)
+        self.see(setup.plan.primary)
 
         self.occlusion: Ssao | RayAo | None = None
         if features.occlusion:
-            self.occlusion = (Ssao if settings.ao == "ssao" else RayAo)(shaders, scene, features, settings)
+            self.occlusion = Ssao(setup) if settings.ao == "ssao" else RayAo(setup)
 
-        self.screen_depth = ScreenDepth(shaders, scene, features) if features.march else None
+        self.screen_depth = ScreenDepth(*self._basics) if features.march else None
         self.reflect: Reflect | ReflectSparse | Ssr | Glossy | None = None
         if features.march:
-            self.reflect = Ssr(shaders, scene, features, settings)
+            self.reflect = Ssr(setup)
         elif features.glossy:
-            self.reflect = Glossy(context, shaders, scene, features, settings, plan.split)
+            self.reflect = Glossy(setup)
             constants.put(emissive_weight=self.reflect.emissive_weight)
         elif features.reflections and features.reflect_grid:
-            self.reflect = ReflectSparse(context, shaders, scene, features, settings, plan.split)
+            self.reflect = ReflectSparse(setup)
         elif features.reflections:
-            self.reflect = Reflect(shaders, scene, features, plan.split)
+            self.reflect = Reflect(*self._basics, setup.plan.split)
 
-        self.denoise = Denoise(shaders, scene, features, settings) if features.filtered else None
-        composed = settings.reflections != "reference" or not len(scene.geometry.meshes)
-        self.composite = Composite(shaders, scene, features, display) if composed else None
+        self.denoise = Denoise(setup) if features.filtered else None
+        composed = settings.reflections != "reference" or not len(setup.scene.geometry.meshes)
+        self.composite = Composite(*self._basics, display) if composed else None
 
     def run(self, targets: Targets, timed: Timed) -> Any:
         """One frame -> the image of linear radiance."""
@@ -96,7 +82,7 @@ class Passes:
             ids, visibility = timed(rays.name, lambda: rays.run(targets))
         else:
             ids = timed(self.gbuffer.name, lambda: self.gbuffer.run(targets))
-        visibility, indirect = self.light(targets, ids, timed, visibility, shade=not self._features.mirror_hits)
+        visibility, indirect = self.light(targets, ids, timed, visibility, shade=not self._setup.features.mirror_hits)
         return timed(composite.name, lambda: composite.run(targets, ids, visibility, indirect))
 
     def light(
@@ -156,15 +142,14 @@ class Passes:
 
     def see(self, primary: str) -> None:
         """From now on what the camera sees is found by `raster` or `trace`. Both are kept once made."""
-        traced = primary == "trace" and len(self._scene.geometry.meshes) > 0
+        setup = self._setup
+        traced = primary == "trace" and len(setup.scene.geometry.meshes) > 0
         if traced not in self._gbuffers:
             self._gbuffers[traced] = (
-                GBufferTrace(self._shaders, self._scene, self._features)
-                if traced
-                else GBufferRaster(self._context, self._shaders, self._scene, self._features)
+                GBufferTrace(*self._basics) if traced else GBufferRaster(setup.context, *self._basics)
             )
         self.gbuffer = self._gbuffers[traced]
-        self.rays = Rays(self._shaders, self._scene, self._features) if traced and self._joined else None
+        self.rays = Rays(*self._basics) if traced and setup.plan.joined else None
 
     def release(self) -> None:
         """Frees what passes own; images belong to Targets."""

@@ -19,6 +19,7 @@ from glhybrid.keys import MANY
 from glhybrid.levels import builds_on_gpu, drawn_and_stored
 from glhybrid.motion import Moment, Motion
 from glhybrid.needs import Features
+from glhybrid.owned import Owned
 from glhybrid.scene import F32, F64, SRGB_SLOTS, TEXTURE_SLOTS, Light, Material, Scene
 
 _CAUSE = {"Lights": "lights", "Materials": "materials", "Textures": "textures", "TextureLevels": "textures"}
@@ -68,7 +69,7 @@ class GpuScene:
         builder: str = "auto",
     ) -> None:
         self._context = context
-        self._owned: list[Any] = []
+        self._owned = Owned()
         self._origin: F64 | None = None  # of the last rebase; None: all is to be uploaded
         self._zero: F64 = np.zeros(3)  # the same, for matrices
         self.scene, self.geometry = scene, geometry
@@ -110,8 +111,7 @@ class GpuScene:
         for block in ("Instances", "Lights", "Materials", "Textures", "TextureLevels") if features.buffer_array else ():
             if block in self.resources:  # the same bytes, as llvmpipe reads them faster
                 self._check_texels(block, self.resources[block].size)
-                view = BufferTexture(context.raw, self.resources[block])
-                self._owned.append(view)
+                view = self._owned.add(BufferTexture(context.raw, self.resources[block]))
                 self.resources[re.sub(r"(?<=[a-z])(?=[A-Z])", "_", block).lower()] = view
 
     def add_trees(self, geometry: Geometry) -> None:
@@ -161,7 +161,7 @@ class GpuScene:
     @property
     def buffer_bytes(self) -> int:
         """Of all buffers, tables and trees."""
-        return sum(o.size for o in self._owned if isinstance(o, moderngl.Buffer))
+        return self._owned.buffer_bytes
 
     @property
     def image_bytes(self) -> int:
@@ -302,16 +302,12 @@ class GpuScene:
 
     def release(self) -> None:
         """Frees everything; nothing of the scene may be drawn after it."""
-        for owned in reversed(self._owned):
-            owned.release()
-        self._owned.clear()
+        self._owned.release()
         self.resources.clear()
 
     def _buffer(self, name: str, size: int) -> moderngl.Buffer:
         self._check_block(name, size)
-        buffer = self._context.gl.buffer(reserve=max(size, 16), dynamic=True)
-        self._owned.append(buffer)
-        return buffer
+        return self._owned.add(self._context.gl.buffer(reserve=max(size, 16), dynamic=True))
 
     def _check_block(self, name: str, size: int) -> None:
         limit = self._context.limits.storage_block_bytes
@@ -324,9 +320,7 @@ class GpuScene:
 
     def _data(self, name: str, rows: np.ndarray) -> None:
         self._check_block(name, rows.nbytes)
-        buffer = self._context.gl.buffer(rows.tobytes() or bytes(16))
-        self._owned.append(buffer)
-        self.resources[name] = buffer
+        self.resources[name] = self._owned.add(self._context.gl.buffer(rows.tobytes() or bytes(16)))
 
     def _check_texels(self, name: str, size: int) -> None:
         limit = self._context.limits.texture_buffer_texels
@@ -339,10 +333,8 @@ class GpuScene:
 
     def _texels(self, name: str, rows: np.ndarray) -> BufferTexture:
         self._check_texels(name, rows.nbytes)
-        buffer = self._context.gl.buffer(np.ascontiguousarray(rows) if rows.nbytes else bytes(48))
-        view = BufferTexture(self._context.raw, buffer)
-        self._owned += [buffer, view]
-        self.resources[name] = view
+        buffer = self._owned.add(self._context.gl.buffer(np.ascontiguousarray(rows) if rows.nbytes else bytes(48)))
+        self.resources[name] = view = self._owned.add(BufferTexture(self._context.raw, buffer))
         return view
 
     def _upload_tables(self, features: Features) -> None:
@@ -359,9 +351,8 @@ class GpuScene:
                     f"{self.scene.name}: the images fill {count} pages of {size} texels a side, this device has {most} "
                     f"of {side}: use a device with larger limits (glhybrid doctor lists them) or smaller images"
                 )
-            array = self._context.gl.texture_array((size, size, count), 4, pages.pages)
+            array = self._owned.add(self._context.gl.texture_array((size, size, count), 4, pages.pages))
             array.filter = (moderngl.NEAREST, moderngl.NEAREST)
-            self._owned.append(array)
             self.resources["texture_pages"] = array
             self._data("Textures", pages.textures)
             self._data("TextureLevels", pages.levels)

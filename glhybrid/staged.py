@@ -27,6 +27,7 @@ from glhybrid.readback import Reading, at_once
 from glhybrid.scene import Camera, Scene
 from glhybrid.scene_change import only_numbers_differ
 from glhybrid.settings import Settings
+from glhybrid.setup import Setup
 from glhybrid.shaders import Shaders
 from glhybrid.targets import Targets
 from glhybrid.timing import Progress, Timing
@@ -105,11 +106,10 @@ class Staged:
         # What a picture is made of besides the frame: Kim's (frame.py), or the reference in its place.
         features = self.features
         self.display = Display(context, shaders, self.constants)
-        self.passes = Passes(
-            context, shaders, self.upload, features, settings, self.plan, self.constants, self.display, progress
-        )
+        setup = Setup(context, shaders, self.upload, features, settings, self.plan)
+        self.passes = Passes(setup, self.constants, self.display, progress)
         self._add(self.passes.resources)
-        self.probe = Probe(context, shaders, self.upload, features, settings) if features.probes else None
+        self.probe = Probe(setup) if features.probes else None
         self._capture: Capture | None = None
         reference = self.passes.composite is None
         self.reference = Reference(context, shaders, self.upload, features) if reference else None

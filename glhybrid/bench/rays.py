@@ -19,6 +19,7 @@ from glhybrid.gl import GL_RGBA32F, BufferTexture
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.levels import choose_levels
 from glhybrid.load.defaults import default_light
+from glhybrid.owned import Owned
 from glhybrid.scene import F32, F64, Camera, Light, Material, Scene, Sphere
 from glhybrid.settings import Settings
 from glhybrid.shaders import Shaders
@@ -136,7 +137,7 @@ class Tracer:
         self.context, self.shaders, self.scene = context, shaders, plain(scene)
         self.view = make_view(camera, size, self.scene)
         self._structures: dict[int, Structure] = {}
-        self._owned: list[Any] = []
+        self._owned = Owned()
         self.extent = float(np.abs(self.scene.bounds() - self.view.origin).max())  # largest |coordinate|, m
         self.own = default_variant(self.scene, context.device.software)
         self.rays = {name: self._make_rays(name) for name in CLASSES}
@@ -172,10 +173,8 @@ class Tracer:
         return Rays(data[data[:, 3] >= 0].copy())
 
     def _upload_rays(self, rays: Rays) -> BufferTexture:
-        buffer = self.context.gl.buffer(rays.data if len(rays) else bytes(32))
-        source = BufferTexture(self.context.raw, buffer, GL_RGBA32F)
-        self._owned += [buffer, source]
-        return source
+        buffer = self._owned.add(self.context.gl.buffer(rays.data if len(rays) else bytes(32)))
+        return self._owned.add(BufferTexture(self.context.raw, buffer, GL_RGBA32F))
 
     def launch(self, name: str, variant: Variant) -> tuple[Callable[[], None], Callable[[], NDArray[Any]]]:
         """One dispatch over the rays of a class, compiled now; and what it found: t, or whether the ray is blocked."""
@@ -203,9 +202,7 @@ class Tracer:
         return lambda: program.dispatch(resources, grid, (64, 1)), target, counts
 
     def _buffer(self, size: int) -> moderngl.Buffer:
-        buffer = self.context.gl.buffer(reserve=size)
-        self._owned.append(buffer)
-        return buffer
+        return self._owned.add(self.context.gl.buffer(reserve=size))
 
     def triangles(self) -> F32 | None:
         """(T, 3, 3) everything there is, in the space of the rays; None with analytic spheres or too many triangles."""
@@ -221,9 +218,7 @@ class Tracer:
 
     def close(self) -> None:
         """Frees rays and structures."""
-        for owned in reversed(self._owned):
-            owned.release()
-        self._owned.clear()
+        self._owned.release()
         for structure in self._structures.values():
             structure.release()
         self._structures.clear()

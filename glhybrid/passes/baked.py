@@ -19,13 +19,11 @@ import numpy as np
 
 from glhybrid import content_cache, layout, lightmap
 from glhybrid.bake import Bake
-from glhybrid.context import Context
 from glhybrid.gl import BufferTexture
-from glhybrid.gpu_scene import GpuScene, light_rows
+from glhybrid.gpu_scene import light_rows
 from glhybrid.lightmap import Limits
-from glhybrid.needs import Features
-from glhybrid.settings import Settings
-from glhybrid.shaders import Shaders
+from glhybrid.owned import Owned
+from glhybrid.setup import Setup
 from glhybrid.targets import Targets
 from glhybrid.timing import Progress
 
@@ -37,13 +35,10 @@ class Baked:
 
     name = "baked"
 
-    def __init__(
-        self, context: Context, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings,
-        progress: Progress | None = None,
-    ) -> None:  # fmt: skip
-        self._context, self._shaders, self._scene, self._settings = context, shaders, scene, settings
-        self._features = features
-        self._owned: list[Any] = []
+    def __init__(self, setup: Setup, progress: Progress | None = None) -> None:
+        self._setup, self._scene, self._features = setup, setup.scene, setup.features
+        context, scene, features = setup.context, setup.scene, setup.features
+        self._owned = Owned()
         self.channel = "visibility_tint" if features.blended else "visibility"
         self._components = 4 if features.blended else 1
         limits = Limits(min(context.limits.texture_size, 16384), context.limits.texture_layers)
@@ -53,35 +48,33 @@ class Baked:
             self._components, progress,
         )  # fmt: skip
         pages, height, width = layout_.pages
-        atlas = context.gl.texture_array((width, height, max(count, 1) * pages), self._components, alignment=1)
+        size = (width, height, max(count, 1) * pages)
+        atlas = self._owned.add(context.gl.texture_array(size, self._components, alignment=1))
         atlas.filter = (moderngl.NEAREST, moderngl.NEAREST)
-        self._owned.append(atlas)
         self.resources: dict[str, Any] = {
             "lightmap": atlas, "lightmap_uv": self._texels(layout_.uv), "lightmap_places": self._texels(layout_.places),
             "lightmap_pages": pages,
         }  # fmt: skip
         try:
             self.from_cache = self._fill(atlas, progress)
-            self._program = shaders.compute("baked", features)
+            self._program = setup.shaders.compute("baked", features)
         except BaseException:  # a bake may be given up: nobody else knows of these
             self.release()
             raise
 
     def _number(self, name: str) -> Any:
-        return self._settings.parameter(f"shadows.baked.{name}")
+        return self._setup.settings.parameter(f"shadows.baked.{name}")
 
     def _texels(self, rows: np.ndarray) -> BufferTexture:
-        buffer = self._context.gl.buffer(np.ascontiguousarray(rows))
-        view = BufferTexture(self._context.raw, buffer)
-        self._owned += [buffer, view]
-        return view
+        context = self._setup.context
+        buffer = self._owned.add(context.gl.buffer(np.ascontiguousarray(rows)))
+        return self._owned.add(BufferTexture(context.raw, buffer))
 
     @property
     def bytes(self) -> int:
         """Of the atlas and its tables."""
         pages, height, width = self.layout.pages
-        tables = sum(o.size for o in self._owned if isinstance(o, moderngl.Buffer))
-        return len(self._scene.lights) * pages * height * width * self._components + tables
+        return len(self._scene.lights) * pages * height * width * self._components + self._owned.buffer_bytes
 
     def _keys(self) -> list[str]:
         """Name of the bake of each light: all that its visibility depends on. Its colour and intensity are no part."""
@@ -104,8 +97,8 @@ class Baked:
             geometry.first_record, geometry.hit_groups,
             *([geometry.attributes] if passing and geometry.attributes is not None else []),
         )  # fmt: skip
-        made_by = [self._shaders.text(stem) for stem in ("baked_push", "baked_hard", "baked_trace")]
-        made_by.append(str(self._context.device).encode())
+        made_by = [self._setup.shaders.text(stem) for stem in ("baked_push", "baked_hard", "baked_trace")]
+        made_by.append(str(self._setup.context.device).encode())
         map_ = (self.layout.index, self.layout.instance, self.layout.triangle, self.layout.bary)
         numbers = repr(
             (VERSION, self.layout.pages, *(self._number(n) for n in ("samples", "push", "dilation")))
@@ -141,8 +134,7 @@ class Baked:
         def keep(light: int, texels: bytes) -> None:
             content_cache.write("bake", names[light], zlib.compress(texels, 1))
 
-        given = self._context, self._shaders, self._scene, self._features, self._settings, self.layout, progress
-        with contextlib.closing(Bake(*given)) as work:
+        with contextlib.closing(Bake(self._setup, self.layout, progress)) as work:
             for light, texels in work.lights(missing, keep):
                 put(light, texels)
         return False
@@ -157,9 +149,7 @@ class Baked:
         return visibility
 
     def release(self) -> None:
-        for owned in reversed(self._owned):
-            owned.release()
-        self._owned.clear()
+        self._owned.release()
         self.resources.clear()
 
 

@@ -12,10 +12,7 @@ for round, which at a slant blurs it across by twice its width.
 
 from typing import Any
 
-from glhybrid.gpu_scene import GpuScene
-from glhybrid.needs import Features
-from glhybrid.settings import Settings
-from glhybrid.shaders import Shaders
+from glhybrid.setup import Setup
 from glhybrid.targets import Targets
 
 SIGNALS = {"reflection": 1, "reflection_coat": 2, "visibility": 3, "occlusion": 4}  # as in lib/denoise.glsl
@@ -27,8 +24,9 @@ class Denoise:
 
     name = "denoise"
 
-    def __init__(self, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings) -> None:
-        self._scene, self._features, self._settings = scene, features, settings
+    def __init__(self, setup: Setup) -> None:
+        shaders, scene, features = setup.shaders, setup.scene, setup.features
+        self._scene, self._features, self._settings = scene, features, setup.settings
         self._guide = shaders.compute("denoise_guide", features)
         wanted = ["visibility"] * features.denoise_shadows + ["occlusion"] * features.denoise_occlusion
         if features.denoise:

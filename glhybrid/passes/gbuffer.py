@@ -15,6 +15,7 @@ from glhybrid.context import Context
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.layout import CONSTANTS
 from glhybrid.needs import Features
+from glhybrid.owned import Owned
 from glhybrid.shaders import Program, Shaders
 from glhybrid.targets import Targets
 
@@ -26,7 +27,7 @@ class GBufferRaster:
 
     def __init__(self, context: Context, shaders: Shaders, scene: GpuScene, features: Features) -> None:
         self._context, self._scene = context, scene
-        self._owned: list[moderngl.Buffer | moderngl.VertexArray] = []
+        self._owned = Owned()
         self._batches: list[tuple[moderngl.VertexArray, moderngl.Buffer, int, int, bool]] = []
         gl, geometry = context.gl, scene.geometry
         self._programs = {
@@ -37,15 +38,14 @@ class GBufferRaster:
         self._turned = scene.turned
         batches, pairs = draws.batches(geometry, scene.flipped)
         if batches:
-            index = self._own(gl.buffer(np.ascontiguousarray(geometry.triangles[:, :3])))
-            per_instance = self._own(gl.buffer(np.array(pairs, np.uint32)))
+            index = self._owned.add(gl.buffer(np.ascontiguousarray(geometry.triangles[:, :3])))
+            per_instance = self._owned.add(gl.buffer(np.array(pairs, np.uint32)))
             for (masked, culled, mirrored), commands in batches:
                 program = self._programs[masked]
                 vertices = scene.resources["vertices"].buffer
                 layout = [(vertices, "3f 20x", "in_position"), (per_instance, "2u4/i", "in_draw")]
-                vao = gl.vertex_array(program.program, layout, index_buffer=index)
-                self._owned.append(vao)
-                indirect = self._own(gl.buffer(np.array(commands, np.uint32)))
+                vao = self._owned.add(gl.vertex_array(program.program, layout, index_buffer=index))
+                indirect = self._owned.add(gl.buffer(np.array(commands, np.uint32)))
                 cull = (2 if mirrored else 1) if culled else 0
                 self._batches.append((vao, indirect, len(commands), cull, masked))
         self._spheres = None
@@ -53,21 +53,15 @@ class GBufferRaster:
             self._sphere_program = shaders.raster("gbuffer", features.replace(sphere_proxy=True))
             data = np.zeros(len(spheres), [("sphere", np.float32, 4), ("draw", np.uint32, 2)])
             data["sphere"], data["draw"] = [s[0] for s in spheres], [s[1] for s in spheres]
-            buffer = self._own(gl.buffer(data))
-            self._spheres = gl.vertex_array(
-                self._sphere_program.program, [(buffer, "4f 2u4/i", "in_sphere", "in_draw")]
-            )
-            self._owned.append(self._spheres)
+            buffer = self._owned.add(gl.buffer(data))
+            content = [(buffer, "4f 2u4/i", "in_sphere", "in_draw")]
+            self._spheres = self._owned.add(gl.vertex_array(self._sphere_program.program, content))
             self._sphere_count = len(spheres)
 
     @property
     def outdated(self) -> bool:
         """Whether other instances are mirrored than when the batches were made."""
         return self._turned != self._scene.turned
-
-    def _own(self, buffer: moderngl.Buffer) -> moderngl.Buffer:
-        self._owned.append(buffer)
-        return buffer
 
     def run(self, targets: Targets) -> moderngl.Texture:
         """Returns the ids, gbuffer_id of layout.py."""
@@ -98,9 +92,7 @@ class GBufferRaster:
         return ids
 
     def release(self) -> None:
-        for owned in reversed(self._owned):
-            owned.release()
-        self._owned.clear()
+        self._owned.release()
 
 
 class GBufferTrace:

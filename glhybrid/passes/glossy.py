@@ -5,13 +5,9 @@ Fused or split as `reflect` is (passes/reflect.py): split, each ray takes a disp
 
 from typing import Any
 
-from glhybrid.context import Context
 from glhybrid.emitters import emitter_rows
-from glhybrid.gpu_scene import GpuScene
-from glhybrid.needs import Features
 from glhybrid.passes.reflect import handed_on
-from glhybrid.settings import Settings
-from glhybrid.shaders import Shaders
+from glhybrid.setup import Setup
 from glhybrid.targets import Targets
 
 RAYS_AT_ONCE = 8  # in an invocation, shadow rays included: llvmpipe ends all its loops at 65,535 turns
@@ -22,22 +18,15 @@ class Glossy:
 
     name = "glossy"
 
-    def __init__(
-        self,
-        context: Context,
-        shaders: Shaders,
-        scene: GpuScene,
-        features: Features,
-        settings: Settings,
-        split: bool = False,
-    ) -> None:
+    def __init__(self, setup: Setup) -> None:
+        shaders, scene, features, split = setup.shaders, setup.scene, setup.features, setup.plan.split
         self._emitters: Any = None
         self.emissive_weight = 0.0  # for the frame's constants
         if features.emitters:
             rows, self.emissive_weight = emitter_rows(scene.geometry)
             features = features.replace(emitters=len(rows) > 0)
             if len(rows):
-                self._emitters = context.gl.buffer(rows.tobytes())
+                self._emitters = setup.context.gl.buffer(rows.tobytes())
         lobes = {"reflection": features.replace(glossy_coat=False)}
         if features.clearcoat:
             lobes["reflection_coat"] = features.replace(glossy_coat=True, reason=False, reuse=features.reuse_coat)
@@ -47,7 +36,7 @@ class Glossy:
         self._programs = {name: [shaders.compute(stem, lobe) for stem in stems] for name, lobe in lobes.items()}
         self._handed_on = handed_on(features) if split else ()
         self._scene, self._features = scene, features
-        self._rays = settings.parameter("reflections.ray-glossy.samples")
+        self._rays = setup.settings.parameter("reflections.ray-glossy.samples")
         shadow_rays = len(scene.lights) if features.shadow_rays else 0
         self._at_once = (
             1 if split else max(1, RAYS_AT_ONCE // (1 + shadow_rays + features.sky_samples + features.emitters))

@@ -14,16 +14,13 @@ import moderngl
 import numpy as np
 
 from glhybrid import layout
-from glhybrid.context import Context
 from glhybrid.errors import SettingError
-from glhybrid.gpu_scene import GpuScene
-from glhybrid.needs import Features
+from glhybrid.owned import Owned
 from glhybrid.passes.sky import convolve
 from glhybrid.probe_placement import equirect
 from glhybrid.scene import F64
 from glhybrid.scene import Probe as Placed
-from glhybrid.settings import Settings
-from glhybrid.shaders import Shaders
+from glhybrid.setup import Setup
 from glhybrid.targets import Targets
 from glhybrid.view import View
 
@@ -33,10 +30,9 @@ class Probe:
 
     name = "probe"
 
-    def __init__(
-        self, context: Context, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings
-    ) -> None:
-        self._context, self._shaders, self._scene, self._features = context, shaders, scene, features
+    def __init__(self, setup: Setup) -> None:
+        shaders, features, settings = setup.shaders, setup.features, setup.settings
+        self._context, self._shaders, self._scene, self._features = setup.context, shaders, setup.scene, features
         self._program = shaders.compute("probe", features)
         self._store = shaders.compute("probe_store", features)
         self.resolution = int(settings.parameter("reflections.probe.resolution"))
@@ -46,7 +42,7 @@ class Probe:
         self.captured: set[int] = set()  # numbers of those that hold what is there now
         self._wanted: list[F64 | None] = []  # (2, 3) the box of surfaces that show each, None: there are none
         self.ms = 0.0
-        self._owned: list[Any] = []
+        self._owned = Owned()
         self.resources: dict[str, Any] = {}
 
     @property
@@ -66,17 +62,15 @@ class Probe:
         self.placed = tuple(sorted(placed, key=lambda p: float(np.prod(np.subtract(*_reach(p)[::-1])))))
         self._wanted = [_wanted(_reach(p), self._fade(p), surfaces) for p in self.placed]
         gl, count, side = self._context.gl, len(placed), self.face_size if placed else 1
-        faces = gl.texture_array((side, side, 6 * max(count, 1)), 4, dtype="f2")
-        rows = gl.buffer(reserve=max(count, 1) * layout.dtype("Probe").itemsize)
-        self._owned = [faces, rows]
         self.resources = {
-            "probe_faces": faces, "Probes": rows, "probe_count": count,
-        }  # fmt: skip
+            "probe_faces": self._owned.add(gl.texture_array((side, side, 6 * max(count, 1)), 4, dtype="f2")),
+            "Probes": self._owned.add(gl.buffer(reserve=max(count, 1) * layout.dtype("Probe").itemsize)),
+            "probe_count": count,
+        }
         if self._features.probes_blurred:
             sizes = layout.PREFILTER_SIZES
             rough = gl.texture_array((sum(s + 2 for s in sizes), max(sizes) + 2, max(count, 1)), 4, dtype="f2")
-            self._owned.append(rough)
-            self.resources["probe_rough"] = rough
+            self.resources["probe_rough"] = self._owned.add(rough)
         for texture in (t for t in self._owned if isinstance(t, moderngl.TextureArray)):
             texture.repeat_x = texture.repeat_y = False
             texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
@@ -145,9 +139,7 @@ class Probe:
         return sum(8 * t.width * t.height * t.layers for t in images)
 
     def release(self) -> None:
-        for owned in reversed(self._owned):
-            owned.release()
-        self._owned = []
+        self._owned.release()
         self.resources = {}
         self.placed, self._wanted = (), []
         self.captured.clear()

@@ -2,10 +2,7 @@
 
 from typing import Any
 
-from glhybrid.gpu_scene import GpuScene
-from glhybrid.needs import Features
-from glhybrid.settings import Settings
-from glhybrid.shaders import Shaders
+from glhybrid.setup import Setup
 from glhybrid.targets import Targets
 
 RAYS_AT_ONCE = 8  # of an invocation: llvmpipe ends all its loops at 65,535 turns
@@ -16,9 +13,10 @@ class RayAo:
 
     name = "ray_ao"
 
-    def __init__(self, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings) -> None:
-        self._program = shaders.compute("ray_ao", features)
-        self._scene = scene
+    def __init__(self, setup: Setup) -> None:
+        features, settings = setup.features, setup.settings
+        self._program = setup.shaders.compute("ray_ao", features)
+        self._scene = setup.scene
         self.channel = "occlusion_rays" if features.denoise_occlusion else "occlusion"
         self._rays = settings.parameter("ao.ray.samples")
         self._radius = settings.parameter("ao.ray.radius")

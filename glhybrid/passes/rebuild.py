@@ -10,6 +10,7 @@ from glhybrid.bvh.merging import merging
 from glhybrid.context import Context
 from glhybrid.gpu_trees import GpuTrees
 from glhybrid.needs import Features
+from glhybrid.owned import Owned
 from glhybrid.shaders import Program, Shaders
 
 SORT_WIDTH = 512  # threads of a group that sorts
@@ -46,18 +47,19 @@ class Rebuild:
         gl = context.gl
         rounds = -(-total // (SORT_WIDTH * SORT_GROUPS))
         groups = -(-total // (SORT_WIDTH * rounds))
-        self._owned = {
+        buffers = {
             "BuildItems": gl.buffer(items), "BuildChunks": gl.buffer(np.concatenate(chunks)),
             "PairsA": gl.buffer(reserve=8 * total), "PairsB": gl.buffer(reserve=8 * total),
             "Digits": gl.buffer(reserve=(4 << DIGIT_BITS) * groups),
             "Places": gl.buffer(reserve=(4 << DIGIT_BITS) * groups),
             "Clusters": gl.buffer(reserve=16 * max(cluster, 1)),
         }  # fmt: skip
-        given = {**resources, **self._owned, "item_total": total, "sort_rounds": rounds}
+        self._owned = Owned(buffers.values())
+        given = {**resources, **buffers, "item_total": total, "sort_rounds": rounds}
         programs = {
             stem: shaders.compute(f"rebuild_{stem}", features) for stem in ("keys", "count", "scan", "scatter", "merge")
         }
-        a, b = self._owned["PairsA"], self._owned["PairsB"]
+        a, b = buffers["PairsA"], buffers["PairsB"]
         self._steps: list[tuple[Program, dict[str, Any], tuple[int, int], tuple[int, int]]] = [
             (programs["keys"], {**given, "PairsOut": a}, (min(total, 65536), -(-total // 65536)), (64, 1))
         ]
@@ -87,9 +89,7 @@ class Rebuild:
 
     @property
     def bytes(self) -> int:
-        return sum(buffer.size for buffer in self._owned.values())
+        return self._owned.buffer_bytes
 
     def release(self) -> None:
-        for buffer in self._owned.values():
-            buffer.release()
-        self._owned.clear()
+        self._owned.release()

@@ -18,6 +18,7 @@ from glhybrid.emitters import emitter_rows
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.layout import CONSTANTS
 from glhybrid.needs import Features
+from glhybrid.owned import Owned
 from glhybrid.pace import Bands, spread_rows
 from glhybrid.shaders import Shaders
 from glhybrid.targets import Targets
@@ -35,7 +36,7 @@ class Reference:
     def __init__(self, context: Context, shaders: Shaders, scene: GpuScene, features: Features) -> None:
         software = context.device.software
         self._context, self._pace, self._bands = context, shaders.pace, Bands()
-        self._owned: list[Any] = []
+        self._owned = Owned()
         self._resources = dict(scene.resources)
         self._scene = scene
         self.emissive_weight = 0.0
@@ -44,7 +45,7 @@ class Reference:
             rows, self.emissive_weight = emitter_rows(scene.geometry)
             features = features.replace(emitters=len(rows) > 0)
             if len(rows):
-                self._resources["Emitters"] = self._own(context.gl.buffer(rows.tobytes()))
+                self._resources["Emitters"] = self._owned.add(context.gl.buffer(rows.tobytes()))
         self._kinds = 1 + features.environment + features.emitters  # of light
         programs = (shaders.compute(f"reference_{part}", features) for part in ("extend", "shade", "connect", "mean"))
         self._extend, self._shade, self._connect, self._mean = programs
@@ -131,18 +132,14 @@ class Reference:
         size = 4 * rows * width * (2 + self._kinds)
         if self._lists is None or self._lists.size != size:
             self._free(self._lists)
-            self._lists = self._own(self._context.gl.buffer(reserve=size))
+            self._lists = self._owned.add(self._context.gl.buffer(reserve=size))
         none = np.zeros((bounces + 3, CONSTANTS["PATH_LISTS"], 4), np.uint32)
         none[..., 1:3] = 1
         if self._counts is None or self._counts[0].size != none.nbytes:
             self._free(*self._counts or ())
-            self._counts = tuple(self._own(self._context.gl.buffer(none.tobytes())) for _ in range(2))
+            self._counts = tuple(self._owned.add(self._context.gl.buffer(none.tobytes())) for _ in range(2))
         paths = targets.get("paths", size=(width, rows * parts))
         return {"paths": paths, "PathLists": self._lists, "PathCounts": self._counts[0]}
-
-    def _own(self, made: Any) -> Any:
-        self._owned.append(made)
-        return made
 
     def _free(self, *owned: Any) -> None:
         for one in owned:
@@ -151,6 +148,4 @@ class Reference:
                 one.release()
 
     def release(self) -> None:
-        for owned in self._owned:
-            owned.release()
-        self._owned.clear()
+        self._owned.release()

@@ -11,13 +11,9 @@ from typing import Any
 
 import moderngl
 
-from glhybrid.context import Context
-from glhybrid.gpu_scene import GpuScene
 from glhybrid.layout import CONSTANTS
-from glhybrid.needs import Features
 from glhybrid.passes.reflect import handed_on, programs
-from glhybrid.settings import Settings
-from glhybrid.shaders import Shaders
+from glhybrid.setup import Setup
 from glhybrid.targets import Targets
 
 
@@ -26,25 +22,18 @@ class ReflectSparse:
 
     name = "reflect"
 
-    def __init__(
-        self,
-        context: Context,
-        shaders: Shaders,
-        scene: GpuScene,
-        features: Features,
-        settings: Settings,
-        split: bool = False,
-    ) -> None:
-        self._gl, self._scene = context.gl, scene
-        self._features, stems = features, programs(features, split)
+    def __init__(self, setup: Setup) -> None:
+        shaders, features, split = setup.shaders, setup.features, setup.plan.split
+        self._gl, self._scene, self._features = setup.context.gl, setup.scene, features
+        stems = programs(features, split)
         self._guide = [shaders.compute("reflect_guide", features)] * split
         self._grid = [shaders.compute(stem, features) for stem in stems]
         self._resolve = shaders.compute("reflect_resolve", features)
         # Its shadow rays apart, too: in the program of the mirror rays they take an H100 up to 1.7 times as long.
         self._rest = [shaders.compute(stem, features.replace(pixel_list=True)) for stem in stems]
         self._images = handed_on(features) if split else ()
-        self._contrast = settings.parameter("reflections.ray-lerp.contrast")
-        self._count = context.gl.buffer(reserve=16)
+        self._contrast = setup.settings.parameter("reflections.ray-lerp.contrast")
+        self._count = self._gl.buffer(reserve=16)
         self._list: moderngl.Buffer | None = None
 
     def run(self, targets: Targets, ids: Any) -> dict[str, Any]:

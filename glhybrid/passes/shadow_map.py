@@ -15,11 +15,11 @@ import moderngl
 import numpy as np
 
 from glhybrid import draws, shadow_cull, shadow_fit, techniques
-from glhybrid.context import Context
-from glhybrid.gpu_scene import GpuScene
 from glhybrid.needs import Features
+from glhybrid.owned import Owned
 from glhybrid.scene import F64
 from glhybrid.settings import Settings
+from glhybrid.setup import Setup
 from glhybrid.shaders import Program, Shaders
 from glhybrid.targets import Targets
 from glhybrid.view import View
@@ -33,14 +33,13 @@ class ShadowMap:
 
     name = "shadow_map"
 
-    def __init__(
-        self, context: Context, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings
-    ) -> None:
+    def __init__(self, setup: Setup) -> None:
+        context, scene, features, settings = setup.context, setup.scene, setup.features, setup.settings
         self._context, self._scene, self._settings = context, scene, settings
         self._reason = features.reason_shadows
         self.channel = "visibility_tint" if features.blended else "visibility"
         self._fit = fit = shadow_fit.Fit.of(settings)
-        self._owned: list[Any] = []
+        self._owned = Owned()
         self._maps: Any = None
         self._tiles: Any = None  # (maps,) of the atlas
         self._follow: Any = None  # (maps,) bool: those that move with the camera
@@ -49,26 +48,22 @@ class ShadowMap:
         self._across = shadow_fit.columns(count, fit.resolution, context.limits.texture_size, key)
         size = (self._across * fit.resolution, -(-count // self._across) * fit.resolution)
         gl = context.gl
-        atlas = self._own(context.raw.depth32f(gl, size))
+        atlas = self._owned.add(context.raw.depth32f(gl, size))
         atlas.repeat_x = atlas.repeat_y = False
-        self._framebuffer = self._own(gl.framebuffer([], atlas))
+        self._framebuffer: Any = self._owned.add(gl.framebuffer([], atlas))
         rows = shadow_fit.empty_rows(scene.lights, fit)
         self._drawn = np.zeros_like(_bytes(rows[0]))  # by tile: the row of what is in it
         self.resources: dict[str, Any] = {
-            "shadow_atlas": atlas, "ShadowMaps": self._own(gl.buffer(rows[0].tobytes())),
-            "ShadowLights": self._own(gl.buffer(rows[1].tobytes())), "map_margin": fit.margin,
+            "shadow_atlas": atlas, "ShadowMaps": self._owned.add(gl.buffer(rows[0].tobytes())),
+            "ShadowLights": self._owned.add(gl.buffer(rows[1].tobytes())), "map_margin": fit.margin,
         }  # fmt: skip
         self.resources |= uniforms(settings)
-        self._program = shaders.compute("shadow_map", features)
+        self._program = setup.shaders.compute("shadow_map", features)
         self._cull: dict[int, tuple[shadow_cull.Commands, Any]] = {}  # by batch; where commands of cascades are kept
         self._boxes: Any = None  # of what is culled
         self._culled: dict[tuple[int, int], tuple[int, int]] = {}  # by batch and map: first command and count
         self._culled_for = b""
-        self._batches = self._make_batches(shaders, features)
-
-    def _own(self, thing: Any) -> Any:
-        self._owned.append(thing)
-        return thing
+        self._batches = self._make_batches(setup.shaders, features)
 
     def _make_batches(self, shaders: Shaders, features: Features) -> list[tuple[Program, Any, Any, int]]:
         """(program, vertex array, indirect buffer or None, count) of every draw into a map."""
@@ -76,8 +71,8 @@ class ShadowMap:
         made: list[tuple[Program, Any, Any, int]] = []
         batches, pairs = draws.batches(geometry, np.zeros(len(geometry.instance_mesh), bool))
         if batches:
-            index = self._own(gl.buffer(np.ascontiguousarray(geometry.triangles[:, :3])))
-            per_instance = self._own(gl.buffer(np.array(pairs, np.uint32)))
+            index = self._owned.add(gl.buffer(np.ascontiguousarray(geometry.triangles[:, :3])))
+            per_instance = self._owned.add(gl.buffer(np.array(pairs, np.uint32)))
             vertices = self._scene.resources["vertices"].buffer
             for masked in (False, True):  # nothing is culled: both sides block light
                 commands = [c for (cut, _, _), some in batches if cut == masked for c in some]
@@ -85,16 +80,16 @@ class ShadowMap:
                     continue
                 program = shaders.raster("shadow_map", features.replace(alpha_test=masked, sphere_proxy=False))
                 layout = [(vertices, "3f 20x", "in_position"), (per_instance, "2u4/i", "in_draw")]
-                vao = self._own(gl.vertex_array(program.program, layout, index_buffer=index))
+                vao = self._owned.add(gl.vertex_array(program.program, layout, index_buffer=index))
                 if self._settings.shadows == "csm":
                     self._make_cull(len(made), shadow_cull.Commands(commands, pairs))
-                made.append((program, vao, self._own(gl.buffer(np.array(commands, np.uint32))), len(commands)))
+                made.append((program, vao, self._owned.add(gl.buffer(np.array(commands, np.uint32))), len(commands)))
         if spheres := draws.sphere_rows(geometry):
             data = np.zeros(len(spheres), [("sphere", np.float32, 4), ("draw", np.uint32, 2)])
             data["sphere"], data["draw"] = [s[0] for s in spheres], [s[1] for s in spheres]
             program = shaders.raster("shadow_map", features.replace(sphere_proxy=True))
-            content = [(self._own(gl.buffer(data)), "4f 2u4/i", "in_sphere", "in_draw")]
-            made.append((program, self._own(gl.vertex_array(program.program, content)), None, len(spheres)))
+            content = [(self._owned.add(gl.buffer(data)), "4f 2u4/i", "in_sphere", "in_draw")]
+            made.append((program, self._owned.add(gl.vertex_array(program.program, content)), None, len(spheres)))
         return made
 
     def _make_cull(self, batch: int, commands: shadow_cull.Commands) -> None:
@@ -104,7 +99,7 @@ class ShadowMap:
         if cascades and len(self._scene.geometry.instance_mesh) > 1 and commands.most <= MOST_CULLED:
             if self._boxes is None:
                 self._boxes = shadow_cull.boxes(self._scene.geometry)
-            buffer = self._own(self._context.gl.buffer(reserve=20 * cascades * commands.most))
+            buffer = self._owned.add(self._context.gl.buffer(reserve=20 * cascades * commands.most))
             self._cull[batch] = commands, buffer
 
     def _choose(self, origin: F64, moving: bool) -> None:
@@ -199,9 +194,7 @@ class ShadowMap:
     def release(self) -> None:
         # moderngl binds the last used framebuffer again when it makes the next one: that must not be one of ours.
         self._context.gl.detect_framebuffer(0).use()
-        for owned in reversed(self._owned):
-            owned.release()
-        self._owned.clear()
+        self._owned.release()
         self.resources.clear()
 
 

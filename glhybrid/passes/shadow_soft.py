@@ -2,10 +2,7 @@
 
 from typing import Any
 
-from glhybrid.gpu_scene import GpuScene
-from glhybrid.needs import Features
-from glhybrid.settings import Settings
-from glhybrid.shaders import Shaders
+from glhybrid.setup import Setup
 from glhybrid.targets import Targets
 
 RAYS_AT_ONCE = 8  # in an invocation: llvmpipe ends all its loops at 65,535 turns
@@ -17,9 +14,10 @@ class ShadowSoft:
     name = "shadow_soft"
     channel = "visibility_soft"
 
-    def __init__(self, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings) -> None:
-        self._program = shaders.compute("shadow_soft", features)
-        self._scene = scene
+    def __init__(self, setup: Setup) -> None:
+        features, settings = setup.features, setup.settings
+        self._program = setup.shaders.compute("shadow_soft", features)
+        self._scene = setup.scene
         self._rays = settings.parameter("shadows.ray-soft.samples")
         self.resources = {"disc_rays": settings.parameter("shadows.ray-soft.hit_samples")}
 

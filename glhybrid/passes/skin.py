@@ -11,6 +11,7 @@ from glhybrid.deform import influences, stays_flat
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.motion import Motion, Shape
 from glhybrid.needs import Features
+from glhybrid.owned import Owned
 from glhybrid.scene import F32, F64, Triangles
 from glhybrid.shaders import Shaders
 
@@ -29,15 +30,16 @@ class Skin:
         tables = _Tables(scene, motion, features, self.meshes)
         self._pieces, self._deformer = tables.pieces, tables.deformer
         self._joint_first, self._total = tables.joint_first, int(tables.vertices)
-        self._owned = {
+        buffers = {
             "RestVertices": gl.buffer(tables.rest), "Influences": gl.buffer(tables.influences),
             "Deltas": gl.buffer(tables.deltas), "SkinPieces": gl.buffer(reserve=tables.pieces.nbytes),
             "Morphs": gl.buffer(reserve=max(tables.targets, 1) * layout.dtype("Morph").itemsize),
             "Joints": gl.buffer(reserve=tables.joint_count * layout.dtype("Joint").itemsize),
         }  # fmt: skip
-        self._resources: dict[str, Any] = dict(self._owned) | {
+        self._resources: dict[str, Any] = buffers | {
             "VerticesOut": scene.resources["vertices"].buffer, "vertex_total": self._total,
         }  # fmt: skip
+        self._owned = Owned(buffers.values())
         if features.tangents:
             self._resources["TangentsOut"] = scene.resources["tangents"].buffer
 
@@ -53,19 +55,17 @@ class Skin:
             morphs["weight"][start : start + len(rows)] = shape.weights[rows]
         for piece, deformer in zip(self._pieces, self._deformer, strict=True):
             piece["morph_first"], piece["morph_count"] = starts[deformer], len(active[deformer])
-        self._write(self._owned["Joints"], joints)
-        self._write(self._owned["Morphs"], morphs)
-        self._write(self._owned["SkinPieces"], self._pieces)
+        self._write(self._resources["Joints"], joints)
+        self._write(self._resources["Morphs"], morphs)
+        self._write(self._resources["SkinPieces"], self._pieces)
         self._program.dispatch(self._resources, (min(self._total, 65536), -(-self._total // 65536)), (64, 1))
 
     @property
     def bytes(self) -> int:
-        return sum(buffer.size for buffer in self._owned.values())
+        return self._owned.buffer_bytes
 
     def release(self) -> None:
-        for buffer in self._owned.values():
-            buffer.release()
-        self._owned.clear()
+        self._owned.release()
 
 
 class _Tables:

@@ -6,10 +6,7 @@ deep. Points and planes are exact, as those of `ssr`; noise of the slices is ave
 
 from typing import Any
 
-from glhybrid.gpu_scene import GpuScene
-from glhybrid.needs import Features
-from glhybrid.settings import Settings
-from glhybrid.shaders import Shaders
+from glhybrid.setup import Setup
 from glhybrid.targets import Targets
 
 
@@ -19,11 +16,12 @@ class Ssao:
     name = "ssao"
     channel = "occlusion"
 
-    def __init__(self, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings) -> None:
-        self._planes = shaders.compute("screen_plane", features)
-        self._program = shaders.compute("ssao", features)
-        self._filter = shaders.compute("ssao_filter", features)
-        self._scene, self._reason = scene, features.reason_ao
+    def __init__(self, setup: Setup) -> None:
+        features, settings = setup.features, setup.settings
+        self._planes = setup.shaders.compute("screen_plane", features)
+        self._program = setup.shaders.compute("ssao", features)
+        self._filter = setup.shaders.compute("ssao_filter", features)
+        self._scene, self._reason = setup.scene, features.reason_ao
         given = {name: settings.parameter(f"ao.ssao.{name}") for name in ("radius", "slices", "steps")}
         self._uniforms = {"ao_radius": given["radius"], "slices": given["slices"], "steps": given["steps"]}
 

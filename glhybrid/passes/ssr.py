@@ -12,10 +12,7 @@ and are not reflected.
 
 from typing import Any
 
-from glhybrid.gpu_scene import GpuScene
-from glhybrid.needs import Features
-from glhybrid.settings import Settings
-from glhybrid.shaders import Shaders
+from glhybrid.setup import Setup
 from glhybrid.targets import Targets
 
 
@@ -24,9 +21,10 @@ class Ssr:
 
     name = "ssr"
 
-    def __init__(self, shaders: Shaders, scene: GpuScene, features: Features, settings: Settings) -> None:
-        self._program = shaders.compute("ssr", features)
-        self._scene = scene
+    def __init__(self, setup: Setup) -> None:
+        features, settings = setup.features, setup.settings
+        self._program = setup.shaders.compute("ssr", features)
+        self._scene = setup.scene
         self._reason = features.reason
         key = f"reflections.{settings.reflections}"
         self._uniforms: dict[str, Any] = {"march_steps": settings.parameter(f"{key}.steps")}

@@ -6,7 +6,15 @@
 const bool GUIDES = bool(USE_REFLECT_GRID) && !bool(USE_PIXEL_LIST);
 #if USE_REFLECT_GRID && !USE_PIXEL_LIST
 layout(rgba32ui) writeonly restrict uniform uimage2D out_guide;
+layout(std430) writeonly buffer PixelCount { uint groups_x, groups_y, groups_z, pixel_count; };
 #endif
+
+// The list of pixels that passes/reflect_resolve.comp appends to is empty: one invocation says so, that of pixel 0.
+void begin_list(ivec2 px) {
+#if USE_REFLECT_GRID && !USE_PIXEL_LIST
+    if (px == ivec2(0)) { groups_x = GROUPS_ACROSS; groups_y = 0u; groups_z = 1u; pixel_count = 0u; }
+#endif
+}
 
 // direction, distance of the surface that it leaves, `beside`.
 uvec4 guide_of(Pixel p, Surface s, vec3 dir) {

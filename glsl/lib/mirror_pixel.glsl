@@ -6,8 +6,6 @@
 #if USE_PIXEL_LIST
 layout(std430) readonly buffer PixelList { uint pixel_list[]; };
 layout(std430) readonly buffer PixelCount { uint groups_x, groups_y, groups_z, pixel_count; };
-#elif USE_REFLECT_GRID
-layout(std430) writeonly buffer PixelCount { uint groups_x, groups_y, groups_z, pixel_count; };
 #endif
 
 // False: nobody's, groups overhang the edge.
@@ -18,7 +16,6 @@ bool mirror_pixel(out ivec2 px) {
     px = ivec2(at & 0xFFFFu, at >> 16u);
     return i < pixel_count;
 #elif USE_REFLECT_GRID
-    if (gl_GlobalInvocationID == uvec3(0u) && tile_rows.x == 0u) { groups_x = GROUPS_ACROSS; groups_y = 0u; groups_z = 1u; pixel_count = 0u; }
     px = pixel_of(tile_pixel());
     return all(lessThan(px, frame.size_px));
 #else

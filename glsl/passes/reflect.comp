@@ -13,7 +13,10 @@ void main() {
     Pixel p = load_pixel(px);
     vec4 result = vec4(0.0);
     uint reason = REASON_NONE;
-    if (GUIDES) store_guide(px, uvec4(0u));
+    if (GUIDES) {
+        begin_list(px);
+        store_guide(px, uvec4(0u));
+    }
     if (covered(p)) {
         Surface s = load_surface(p);
         vec3 v = -p.ray.dir;

@@ -147,7 +147,7 @@ def test_keys_are_sorted(context: "Context", monkeypatch: pytest.MonkeyPatch, gr
         refit = tracer.mover.refit
         assert refit is not None and refit._builder is not None and refit._builder.key_bits == 22
         pairs = np.frombuffer(refit._builder._sorted.read(), np.uint32).reshape(-1, 2)
-        items = np.frombuffer(refit._builder._owned["BuildItems"].read(), layout.dtype("BuildItem"))
+        items = np.frombuffer(refit._builder._steps[0][1]["BuildItems"].read(), layout.dtype("BuildItem"))
         want = np.zeros(len(items), np.uint32)
         vertices = tracer.vertices()[:, :3]
         for number, row in enumerate(refit._trees):
