@@ -13,7 +13,10 @@ from pathlib import Path
 from glhybrid.jit import cache_dir
 
 DIGEST = 20
-LIMIT_BYTES = {"sky": 80 << 20, "unwrap": 512 << 20, "bake": 1 << 30, "probe": 1 << 20, "tuning": 1 << 20}
+LIMIT_BYTES = {
+    "sky": 80 << 20, "unwrap": 512 << 20, "bake": 1 << 30, "probe": 1 << 20, "tuning": 1 << 20,
+    "program": 256 << 20,
+}  # fmt: skip
 
 
 def key(*parts: bytes) -> str:

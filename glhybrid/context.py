@@ -23,6 +23,7 @@ from glhybrid.egl import SURFACELESS, EglContext, EglDevice, devices, has_surfac
 from glhybrid.errors import DeviceError, SettingError, unknown
 from glhybrid.gl import GL, GL_RENDERER, GL_VENDOR, GL_VERSION
 from glhybrid.osmesa import OsmesaContext
+from glhybrid.program_cache import ProgramCache
 
 log = logging.getLogger("glhybrid")
 
@@ -128,14 +129,21 @@ class Context:
     """A current OpenGL context and everything known about it. `close()` frees it and all that was made in it."""
 
     def __init__(
-        self, native: Native, backend: Literal["egl", "osmesa", "window"], egl: EglDevice | None = None
+        self,
+        native: Native,
+        backend: Literal["egl", "osmesa", "window"],
+        egl: EglDevice | None = None,
+        keep_programs: bool = False,
     ) -> None:
+        """keep_programs: on disk, for the next context and for those beside it."""
         self.native = native
         self.closed = False
         try:
             self.raw = GL(native.load_opengl_function)
             self.device = _device(self.raw, backend, egl)
-            settings: Any = {"context": native}  # moderngl's stub takes settings for a dict
+            driver = " ".join((self.device.vendor, self.device.renderer, self.device.version))
+            self.programs = ProgramCache(native, self.raw, driver) if keep_programs else None
+            settings: Any = {"context": self.programs or native}  # moderngl's stub takes settings for a dict
             self.gl: moderngl.Context = moderngl.create_context(require=430, standalone=True, **settings)
             self.limits = _limits(self.raw)
             _require(self.limits, self.device)
@@ -179,8 +187,8 @@ class Context:
         self.close()
 
 
-def open_context(device: str = "auto") -> Context:
-    """Opens a context and logs one line that says which.
+def open_context(device: str = "auto", keep_programs: bool = False) -> Context:
+    """Opens a context and logs one line that says which. keep_programs: as Context takes it.
 
     device: `auto` (a GPU if there is one, else software), `gpu` (a GPU or an error), `software` (Mesa's llvmpipe),
     `egl:N` (EGL's N-th device), `cuda:N` (the GPU that CUDA calls N), `osmesa`. `auto` reads GLHYBRID_DEVICE first.
@@ -190,22 +198,25 @@ def open_context(device: str = "auto") -> Context:
         device = os.environ.get("GLHYBRID_DEVICE") or "auto"
     kind, _, number = device.partition(":")
     if kind in ("egl", "cuda") and number.isdecimal():
-        context = _first([_numbered(kind, int(number))], f"{device} cannot be used", lambda _: "")
+        candidates = [_numbered(kind, int(number))]
+        context = _first(candidates, f"{device} cannot be used", lambda _: "", keep_programs=keep_programs)
     elif device == "osmesa":
         context = Context(OsmesaContext(REQUIRED_VERSION), "osmesa")
     elif device == "gpu":
-        context = _first(_hardware(), "no GPU can be used for OpenGL", _must_be_hardware)
+        context = _first(
+            _hardware(), "no GPU can be used for OpenGL", _must_be_hardware, keep_programs=keep_programs
+        )  # fmt: skip
     elif device == "software":
-        context = _software()
+        context = _software(keep_programs)
     elif device == "auto":
-        context = _auto()
+        context = _auto(keep_programs)
     else:
         raise SettingError(unknown("device", device, DEVICE_NAMES))
     log.info("device: %s", context.device)
     return context
 
 
-def open_egl(device: EglDevice) -> Context:
+def open_egl(device: EglDevice, keep_programs: bool = False) -> Context:
     """A context on one EGL device. Raises DeviceError, without a remedy."""
     for version in (*_BETTER_VERSIONS, REQUIRED_VERSION):
         try:
@@ -215,29 +226,29 @@ def open_egl(device: EglDevice) -> Context:
                 raise DeviceError(_too_old(device) or str(error)) from None
             continue
         break
-    return Context(native, "egl", device)
+    return Context(native, "egl", device, keep_programs)
 
 
-def _auto() -> Context:
+def _auto(keep_programs: bool) -> Context:
     hardware = _hardware()
     if hardware:
         try:
-            return _first(hardware, "no GPU can be used", _must_be_hardware)
+            return _first(hardware, "no GPU can be used", _must_be_hardware, keep_programs=keep_programs)
         except DeviceError as error:
             log.warning("falling back to software rendering: %s", error)
-    context = _software()
+    context = _software(keep_programs)
     for problem in host.problems():
         if problem.about == "gpu":
             log.warning("the GPU is not used: %s", problem)
     return context
 
 
-def _software() -> Context:
+def _software(keep_programs: bool) -> Context:
     candidates = [d for d in _listed() if d.software]
     if not candidates and host.has_egl() and has_surfaceless():
         candidates = [SURFACELESS]  # a Mesa that does not list its software device
     try:
-        return _first(candidates, "no software renderer can be used", _must_be_software, "software")
+        return _first(candidates, "no software renderer can be used", _must_be_software, "software", keep_programs)
     except DeviceError as error:
         try:
             return Context(OsmesaContext(REQUIRED_VERSION), "osmesa")
@@ -272,12 +283,13 @@ def _first(
     failure: str,
     objection: Callable[[Device], str],
     kind: Literal["gpu", "software"] = "gpu",
+    keep_programs: bool = False,
 ) -> Context:
     """The first candidate that opens and to which there is no objection; otherwise one error with every reason."""
     reasons: list[str] = []
     for candidate in candidates:
         try:
-            context = open_egl(candidate)
+            context = open_egl(candidate, keep_programs)
         except DeviceError as error:
             reasons.append(f"{candidate}: {error}")
             continue

@@ -34,6 +34,9 @@ GL_FRAMEBUFFER, GL_RENDERBUFFER, GL_VERTEX_ARRAY, GL_SAMPLER = 0x8D40, 0x8D41, 0
 GL_TIMESTAMP, GL_QUERY_RESULT, GL_QUERY_RESULT_AVAILABLE = 0x8E28, 0x8866, 0x8867
 GL_DEBUG_SOURCE_APPLICATION = 0x824A
 GL_FRAGMENT_SHADER, GL_VERTEX_SHADER, GL_COMPUTE_SHADER, GL_COMPLETION_STATUS = 0x8B30, 0x8B31, 0x91B9, 0x91B1
+GL_COMPILE_STATUS, GL_LINK_STATUS = 0x8B81, 0x8B82
+GL_PROGRAM_BINARY_RETRIEVABLE_HINT, GL_PROGRAM_BINARY_LENGTH = 0x8257, 0x8741
+GL_NUM_PROGRAM_BINARY_FORMATS = 0x87FE
 GL_COPY_READ_BUFFER, GL_STREAM_READ, GL_MAP_READ_BIT = 0x8F36, 0x88E1, 0x1
 GL_SYNC_GPU_COMMANDS_COMPLETE, GL_SYNC_FLUSH_COMMANDS_BIT = 0x9117, 0x1
 GL_TIMEOUT_EXPIRED, GL_WAIT_FAILED = 0x911B, 0x911D
@@ -89,8 +92,10 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "glGetInteger64v": (None, (_ENUM, POINTER(c_int64))),
     "glGetIntegeri_v": (None, (_ENUM, _UINT, _INTS)),
     "glGetIntegerv": (None, (_ENUM, _INTS)),
+    "glGetProgramBinary": (None, (_UINT, _SIZE, _INTS, _UINTS, c_char_p)),
     "glGetProgramiv": (None, (_UINT, _ENUM, _INTS)),
     "glGetQueryObjectui64v": (None, (_UINT, _ENUM, POINTER(c_uint64))),
+    "glGetShaderiv": (None, (_UINT, _ENUM, _INTS)),
     "glGetString": (c_char_p, (_ENUM,)),
     "glGetStringi": (c_char_p, (_ENUM, _UINT)),
     "glIsBuffer": (c_ubyte, (_UINT,)),
@@ -103,6 +108,8 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "glMemoryBarrier": (None, (_BITS,)),
     "glObjectLabel": (None, (_ENUM, _UINT, _SIZE, c_char_p)),
     "glPopDebugGroup": (None, ()),
+    "glProgramBinary": (None, (_UINT, _ENUM, c_char_p, _SIZE)),
+    "glProgramParameteri": (None, (_UINT, _ENUM, _INT)),
     "glProgramUniform1f": (None, (_UINT, _INT, c_float)),
     "glProgramUniform1i": (None, (_UINT, _INT, _INT)),
     "glProgramUniform1ui": (None, (_UINT, _INT, _UINT)),

@@ -31,12 +31,19 @@ class Renderer:
 
     device: auto, gpu, software, egl:N, cuda:N or osmesa. A scene's trees, buffers and programs are kept for the next
     frame of the same scene. interactive: several settings are kept ready at once, and images of two sizes.
+    keep_programs: compiled ones, on disk too.
     Raises DeviceError where there is no usable OpenGL 4.3.
     """
 
-    def __init__(self, device: str = "auto", context: Context | None = None, interactive: bool = False) -> None:
+    def __init__(
+        self,
+        device: str = "auto",
+        context: Context | None = None,
+        interactive: bool = False,
+        keep_programs: bool = False,
+    ) -> None:
         self._owns_context, self._closed = context is None, False
-        self.context = context or open_context(device)
+        self.context = context or open_context(device, keep_programs)
         self.shaders = Shaders(self.context)
         self._most = INTERACTIVE_STAGINGS if interactive else 1
         self.planned_size: tuple[int, int] | None = None  # decides between raster and rays in place of a picture's own
@@ -162,6 +169,11 @@ class Renderer:
         )
         self._stagings.append(staged)
         return staged
+
+    @property
+    def keeps_programs(self) -> bool:
+        """Whether what is compiled is found by the next process, too."""
+        return self.context.programs is not None and self.context.programs.kept
 
     @cached_property
     def tuning(self) -> Tuning:

@@ -9,6 +9,7 @@ import re
 import struct
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -326,25 +327,26 @@ class Shaders:
         self, name: str, sources: tuple[Source, ...], stages: Mapping[int, str], make: Callable[[], Any],
         named: Mapping[str, int],
     ) -> Program:  # fmt: skip
-        aside_s = 0.0
-        if self.progress is not None:
-            tell = partial(self.progress, f"compiling {name.partition(' ')[0]}", 0, 0)
-            tell()
-            self._aside = self._aside or CompileAside(self._context.raw)
-            aside_s = self._aside.run(stages, tell) if self._aside.worth else 0.0
-            self._context.bindings.forget()  # who is told may draw
-        start = time.perf_counter()
-        unread = [buffer for buffer, feature in _OPTIONAL.items() if not named.get(feature)]
-        try:
-            made = make()
-            if aside_s and self._aside is not None:
-                self._aside.learn(aside_s, time.perf_counter() - start)
-            return Program(self._context, name, made, unread, self.pace)
-        except moderngl.Error as error:
-            log = str(error)
-            for source in sources[-1:] if "fragment" in log else sources[:1]:
-                log = source.readable(log)
-            raise ShaderError(f"{name}: does not compile on {self._context.device}:\n{log}") from None
+        with self._context.programs.making(stages) if self._context.programs else nullcontext(False) as kept:
+            aside_s = 0.0
+            if self.progress is not None and not kept:
+                tell = partial(self.progress, f"compiling {name.partition(' ')[0]}", 0, 0)
+                tell()
+                self._aside = self._aside or CompileAside(self._context.raw)
+                aside_s = self._aside.run(stages, tell) if self._aside.worth else 0.0
+                self._context.bindings.forget()  # who is told may draw
+            start = time.perf_counter()
+            unread = [buffer for buffer, feature in _OPTIONAL.items() if not named.get(feature)]
+            try:
+                made = make()
+                if aside_s and self._aside is not None:
+                    self._aside.learn(aside_s, time.perf_counter() - start)
+                return Program(self._context, name, made, unread, self.pace)
+            except moderngl.Error as error:
+                log = str(error)
+                for source in sources[-1:] if "fragment" in log else sources[:1]:
+                    log = source.readable(log)
+                raise ShaderError(f"{name}: does not compile on {self._context.device}:\n{log}") from None
 
     def _file(self, name: str) -> Path:
         return next((f / name for f in self._folders if (f / name).is_file()), self._folders[0] / name)

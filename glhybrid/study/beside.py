@@ -1,113 +1,146 @@
-"""What is not timed, made in processes beside this one: stability curves and cases of the failure library.
+"""Processes beside a study on a GPU: they compile its programs ahead, and make what is not timed.
 
-On a GPU most of their time is compilation, on one core. Each process has a context of its own and keeps what it makes
-(store.py), where the study then finds it: nothing else passes between them, and what one could not make is made here.
+Most of a study's time there is compilation, on one core a process. Each has a context of its own; what it compiles is
+kept on disk (program_cache.py), and so are stability curves and cases of the failure library (store.py), where the
+study finds them: nothing else passes between them, and what one could not make is made by the study. While frames are
+timed all of them stand still.
 """
 
-import json
+import itertools
 import os
+import pickle
+import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, wait
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from queue import Empty, SimpleQueue
+from queue import PriorityQueue
 from threading import Thread
-from typing import Any
+from typing import Protocol
 
-MOST = 8  # processes: each compiles, and holds a context
+from glhybrid.errors import GlhybridError
+from glhybrid.renderer import Renderer
+from glhybrid.study import helper
+
+MOST = 12  # processes: each compiles, and holds a context
 COMMAND = "from glhybrid.study.beside import serve; serve()"
-STABILITY, FAILURES = "stability", "failures"
 LOOK_S = 0.2  # between two looks at the clock
-STALL_S = 90.0  # without a job done, whatever keeps them: the rest is then made here
-Job = tuple[str, str]  # part of a study, name of a curve or case
+STALL_S = 90.0  # without a job done, whatever keeps them: the rest is then made by the study
+SETTLE_S = 0.005  # until a GPU has done what it was told by a process that stands still
 
 
-@contextmanager
-def making(
-    device: str, output: Path, quick: bool, jobs: Iterable[Job], processes: int
-) -> Iterator[Callable[[Callable[[int], None]], None]]:
-    """Makes the jobs in so many processes, the first ones first, until the end of the `with`.
+@dataclass(frozen=True)
+class Home:
+    """What all jobs of a study have in common."""
 
-    Gives a function that waits for them; what it is given is called now and then with how many are done.
-    """
-    waiting: SimpleQueue[Job] = SimpleQueue()
-    for job in jobs:
-        waiting.put(job)
-    finished: SimpleQueue[Job | None] = SimpleQueue()  # None: a process has ended
-    start = json.dumps({"device": device, "output": str(output), "quick": quick})
-    running = [_start() for _ in range(processes)]
-    threads = [Thread(target=_feed, args=(popen, start, waiting, finished), daemon=True) for popen in running]
+    device: str
+    output: Path
+    quick: bool
 
-    def wait(told: Callable[[int], None]) -> None:
-        left, done, moved = processes, 0, time.monotonic()
-        while left and time.monotonic() - moved < STALL_S:
-            try:
-                if finished.get(timeout=LOOK_S) is None:
-                    left -= 1
-                else:
-                    done += 1
-                moved = time.monotonic()
-            except Empty:
-                pass
-            told(done)
-        stop()  # whoever stands still is not to go on later
 
-    def stop() -> None:
-        for popen, thread in zip(running, threads, strict=True):
+class Job(Protocol):
+    """Something to be made: plain values that can be pickled."""
+
+    def make(self, renderer: Renderer, home: Home) -> None:
+        """In the process."""
+
+
+class Crew:
+    """Close it, so that its processes end; what is not finished is given up."""
+
+    def __init__(self, home: Home, processes: int) -> None:
+        self._home, self._numbers = home, itertools.count()
+        self._jobs: PriorityQueue[tuple[int, int, Job | None, Future[None]]] = PriorityQueue()
+        self._all: list[Future[None]] = []
+        # No lock of the driver's own cache may be held by one that stands still.
+        self._running = [helper.start(COMMAND, nice=10, __GL_SHADER_DISK_CACHE="0") for _ in range(processes)]
+        self._threads = [Thread(target=self._feed, args=(popen,), daemon=True) for popen in self._running]
+        self._left = processes
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def processes(self) -> int:
+        """How many there are."""
+        return len(self._running)
+
+    def put(self, job: Job, first: bool = False) -> "Future[None]":
+        """Makes it, after what was put before; first: before all that was not."""
+        done: Future[None] = Future()
+        self._all.append(done)
+        self._jobs.put((0 if first else 1, next(self._numbers), job, done))
+        return done
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """All stand still, and the device is ours."""
+        try:
+            for popen in self._running:
+                popen.send_signal(signal.SIGSTOP)
+            time.sleep(SETTLE_S)
+            yield
+        finally:
+            for popen in self._running:
+                popen.send_signal(signal.SIGCONT)
+
+    def wait(self, told: Callable[[], None], some: "Future[None] | None" = None) -> None:
+        """Until one job is done, or all are; not longer than STALL_S without one that is. told: now and then."""
+        moved, left = time.monotonic(), len(self._all)
+        while waiting := [f for f in ([some] if some else self._all) if not f.done()]:
+            now_left = sum(not f.done() for f in self._all)
+            if now_left != left:
+                left, moved = now_left, time.monotonic()
+            if not self._left or time.monotonic() - moved > STALL_S:
+                return
+            told()
+            wait(waiting, LOOK_S)
+
+    def close(self) -> None:
+        """Ends them all. Twice is harmless."""
+        for popen in self._running:
             popen.kill()
+        for _ in self._threads:
+            self._jobs.put((-1, next(self._numbers), None, Future()))
+        for popen, thread in zip(self._running, self._threads, strict=True):
             thread.join()
             popen.communicate()  # closes its pipes
 
-    for thread in threads:
-        thread.start()
-    try:
-        yield wait
-    finally:
-        stop()
-
-
-def _start() -> "subprocess.Popen[str]":
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
-    return subprocess.Popen(
-        [sys.executable, "-c", COMMAND], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-        text=True, env=environment, start_new_session=True,  # an interrupt is for us, who then end it
-    )  # fmt: skip
-
-
-def _feed(popen: "subprocess.Popen[str]", start: str, waiting: "SimpleQueue[Job]", finished: Any) -> None:
-    """One job after another to one process, until there are none or it ends."""
-    assert popen.stdin is not None and popen.stdout is not None
-    try:
-        print(start, file=popen.stdin, flush=True)
-        while True:
-            job = waiting.get_nowait()
-            print(json.dumps(job), file=popen.stdin, flush=True)
-            if not popen.stdout.readline():
-                return
-            finished.put(job)
-    except (Empty, OSError):
-        return
-    finally:
-        finished.put(None)
+    def _feed(self, popen: "subprocess.Popen[bytes]") -> None:
+        """One job after another to one process, until it ends."""
+        assert popen.stdin is not None and popen.stdout is not None
+        done: Future[None] = Future()
+        try:
+            helper.send(popen.stdin, self._home)
+            while True:
+                _, _, job, done = self._jobs.get()
+                if job is None:
+                    return
+                helper.send(popen.stdin, job)
+                error = pickle.load(popen.stdout)
+                done.set_exception(error) if error else done.set_result(None)
+        except (OSError, EOFError):
+            if not done.done():
+                done.set_exception(GlhybridError("a process beside the study has ended"))
+        finally:
+            self._left -= 1
 
 
 def serve() -> None:
-    """What such a process does: makes what it is told, and answers a line for each."""
-    from glhybrid.renderer import Renderer
-    from glhybrid.study import curves, run
-    from glhybrid.study.progress import Meter
-
-    answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what else is printed is no answer
-    start, meter = json.loads(sys.stdin.readline()), Meter(None, lines=False)
-    output = Path(start["output"])
-    with Renderer(device=start["device"]) as renderer:
-        for line in sys.stdin:
-            part, name = json.loads(line)
-            if part == STABILITY:
-                curves.make(renderer, name, output / part, start["quick"], meter, lambda _: None)
-            else:
-                run.failures(renderer, output / part, meter, lambda _: None, [name])
-            print(name, file=answers, flush=True)
+    """What such a process does: makes what it is told, and answers each with an error or None."""
+    answers = helper.answering()
+    if (home := helper.receive()) is None:
+        return
+    with Renderer(device=home.device, keep_programs=True) as renderer:
+        while (job := helper.receive()) is not None:
+            error: Exception | None = None
+            try:
+                job.make(renderer, home)
+            except Exception as raised:  # the study meets the same, and tells it
+                error = GlhybridError(str(raised))
+            if not helper.answer(answers, error):
+                os._exit(1)
+    sys.stdin.close()

@@ -1,22 +1,19 @@
 """Pictures are held against the truth in processes beside this one while the device makes the next: FLIP of 1920x1080
 pixels takes seconds of a core. On a software device, whose times that would disturb, here and at once.
-
-The processes are started as commands, not by multiprocessing, which would run a caller's script again.
 """
 
 import os
 import pickle
-import subprocess
-import sys
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from queue import SimpleQueue
-from typing import IO, Any
+from typing import Any
 
 from glhybrid.bvh.blas import threads_available
 from glhybrid.errors import GlhybridError
 from glhybrid.image import Frame
 from glhybrid.scene import F32
+from glhybrid.study import helper
 from glhybrid.study.measure import Truth, compared
 
 FREE = 2  # threads left to this process and the driver
@@ -67,16 +64,14 @@ class Comparing:
         for process in self._all:
             process.kill()
         if self._threads is not None:
-            self._threads.shutdown(cancel_futures=True)
+            self._threads.shutdown(cancel_futures=True)  # whoever still reads from one has met its end
+        for process in self._all:
+            process.close()
 
 
 class _Process:
     def __init__(self, truth: Truth) -> None:
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
-        self._popen = subprocess.Popen(
-            [sys.executable, "-c", COMMAND], stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment,
-            start_new_session=True,  # an interrupt is for us, who then end it
-        )  # fmt: skip
+        self._popen = helper.start(COMMAND, nice=5)
         self._truth: Truth | None = truth
 
     def ask(self, job: Any) -> dict[str, Any]:
@@ -84,9 +79,9 @@ class _Process:
         assert stdin is not None and stdout is not None
         try:
             if self._truth is not None:
-                _send(stdin, self._truth)
+                helper.send(stdin, self._truth)
                 self._truth = None
-            _send(stdin, job)
+            helper.send(stdin, job)
             answer = pickle.load(stdout)
         except (OSError, EOFError):
             raise GlhybridError("a process that compares pictures has ended: out of memory?") from None
@@ -96,29 +91,21 @@ class _Process:
 
     def kill(self) -> None:
         self._popen.kill()
+
+    def close(self) -> None:
+        """Once nobody asks it any more."""
         self._popen.communicate()
-
-
-def _send(stream: IO[bytes], value: Any) -> None:
-    pickle.dump(value, stream, pickle.HIGHEST_PROTOCOL)
-    stream.flush()
 
 
 def serve() -> None:
     """What such a process does: reads the truth, then pictures, and answers each."""
-    answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what else is printed is no answer
-    truth = pickle.load(sys.stdin.buffer)
-    while True:
-        try:
-            job = pickle.load(sys.stdin.buffer)
-        except EOFError:
-            return
+    answers = helper.answering()
+    if (truth := helper.receive()) is None:
+        return
+    while (job := helper.receive()) is not None:
         try:
             answer: Any = compared(job[0], truth, *job[1:])
         except Exception as error:
             answer = error
-        try:
-            _send(answers, answer)
-        except BrokenPipeError:  # whoever asked was killed
+        if not helper.answer(answers, answer):
             os._exit(1)

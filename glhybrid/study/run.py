@@ -15,7 +15,7 @@ from glhybrid.bvh.blas import threads_available
 from glhybrid.image import Frame
 from glhybrid.renderer import Renderer
 from glhybrid.scene import Scene
-from glhybrid.study import beside, curves, picture, results, scene_study, store, sweep
+from glhybrid.study import beside, curves, jobs, picture, results, scene_study, store, sweep
 from glhybrid.study import failures as library
 from glhybrid.study import paper as papers
 from glhybrid.study.peers import panel
@@ -29,7 +29,7 @@ SCENES = ("atrium", "plaza", "showroom")
 QUICK_SCENES = ("showroom", "atrium")
 PARTS = ("peers", "stability", "failures")  # what is done beside the scenes
 PAPER_PARTS = ("ladder",)
-UNTIMED: Mapping[str, Callable[[], list[str]]] = {beside.STABILITY: curves.names, beside.FAILURES: library.cases}
+UNTIMED = ("stability", "failures")  # of these, what processes beside a study make
 FAILURE_CELLS = 20  # what the failure library counts for in the progress
 PEER_CELLS = 1.5  # and one other renderer on one scene
 
@@ -74,7 +74,7 @@ def run(
     for scene in scenes.values():
         choose_camera(scene, camera)
     store.prepare(output)
-    with Renderer(device=device) as renderer:
+    with Renderer(device=device, keep_programs=True) as renderer:
         software = renderer.context.device.software
         efforts = [
             scene_study.effort(quick, software, size, samples, seconds) for size in dict.fromkeys(sizes or (None,))
@@ -99,11 +99,19 @@ def run(
         }
         meter.expect(sum(costs[part] for part in parts))
         try:
-            with _beside(study, renderer, device, output, quick, parts, meter) as ready:
+            with _beside(renderer, device, output, quick) as crew:
                 for one in work:
-                    one.run(ready)
+                    one.prepare(crew)
+                if crew is not None:
+                    for job in _untimed(parts):
+                        crew.put(job)
+                for one in work:
+                    one.run()
                     results.write(study, output)
-                ready()
+                if crew is not None:
+                    meter.begin(" and ".join(part for part in parts if part in UNTIMED))
+                    with study.timed(f"waiting for {crew.processes} processes beside"):
+                        crew.wait(lambda: meter.part(0.0))
             for part in parts:
                 with study.timed(part):
                     if part == "ladder":
@@ -164,32 +172,26 @@ def _machine(renderer: Renderer, sizes: Sequence[tuple[int, int]], command: str)
 
 
 @contextmanager
-def _beside(
-    study: Study, renderer: Renderer, device: str, output: Path, quick: bool, parts: Sequence[str], meter: Meter
-) -> Iterator[Callable[[], None]]:
-    """What is not timed, made on all cores while a GPU converges the first reference; the parts then find it.
-
-    Gives a function that waits for it, to be called before anything is timed.
-    """
-    chosen = [part for part in UNTIMED if part in parts]
-    jobs = [(part, name) for part in chosen for name in UNTIMED[part]()]
+def _beside(renderer: Renderer, device: str, output: Path, quick: bool) -> Iterator[beside.Crew | None]:
+    """Processes on the cores that a study on a GPU leaves; none in software, whose times they would disturb."""
     processes = 0 if renderer.context.device.software else min(threads_available() - 2, beside.MOST)
-    if not jobs or processes < 2:
-        yield lambda: None
+    if processes < 2:
+        yield None
         return
     assert renderer.tuning  # measured before others use the device
-    waited = False
-    with beside.making(device, output, quick, jobs, processes) as wait:
+    crew = beside.Crew(beside.Home(device, output, quick), processes)
+    try:
+        yield crew
+    finally:
+        crew.close()
 
-        def ready() -> None:
-            nonlocal waited
-            if not waited:
-                waited = True
-                meter.begin(" and ".join(chosen))
-                with study.timed(f"{' and '.join(chosen)}, in {processes} processes beside the reference"):
-                    wait(lambda _: meter.part(0.0))
 
-        yield ready
+def _untimed(parts: Sequence[str]) -> list[beside.Job]:
+    """What of a study's parts is not timed."""
+    return [
+        *(jobs.Curve(name) for name in curves.names() if "stability" in parts),
+        *(jobs.Failure(name) for name in library.cases() if "failures" in parts),
+    ]
 
 
 def _peers(

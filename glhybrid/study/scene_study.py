@@ -1,9 +1,11 @@
 """One scene of a study: its converged reference, then every cell against it, each kept as it is finished."""
 
 import math
+import pickle
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -19,8 +21,10 @@ from glhybrid.settings import Settings
 from glhybrid.study import direct, measure, reflected, results, stability, store, sweep
 from glhybrid.study import paper as papers
 from glhybrid.study import reference as references
+from glhybrid.study.beside import Crew
 from glhybrid.study.comparing import Comparing, processes
 from glhybrid.study.develop import develop
+from glhybrid.study.jobs import Programs
 from glhybrid.study.measure import Clock, Truth
 from glhybrid.study.peers.panel import Site
 from glhybrid.study.progress import Meter
@@ -86,6 +90,9 @@ class SceneStudy:
         self.renderer, self.name, self.scene, self.camera = renderer, name, scene, camera
         self.axes, self.spent, self.bounces, self.group = axes, spent, bounces, group or name
         self.folder, self.study, self.meter = output / name, study, meter
+        self._crew: Crew | None = None
+        self._pickled = self.folder / ".scene.part"
+        self._ahead: dict[str, Future[None]] = {}  # by cell: its programs are there
         self._comparing: Comparing | None = None
         self._pending: list[tuple[dict[str, Any], Future[dict[str, Any]]]] = []
 
@@ -94,8 +101,31 @@ class SceneStudy:
         pairs = self.spent.pairs if len(self.axes) > 1 else 0
         return REFERENCE_CELLS + sum(len(cells) for cells in self.axes.values()) + pairs
 
-    def run(self, ready: Callable[[], None] = lambda: None) -> None:
-        """ready: called when the reference is there, before anything is timed."""
+    def prepare(self, crew: Crew | None) -> None:
+        """Processes beside, which stand still while frames are timed; they make the programs of all cells ahead."""
+        self._crew = crew
+        if crew is None or not self.renderer.keeps_programs:
+            return
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with replacing(self._pickled) as temporary:
+            temporary.write_bytes(pickle.dumps(self.scene, pickle.HIGHEST_PROTOCOL))
+        crew.put(Programs(self._pickled, self.camera, self.spent.size, None))
+        for cell, _ in self._wanted():
+            self._compile(cell, first=False)
+
+    def _compile(self, cell: Cell, first: bool) -> None:
+        if self._crew is None or not self._pickled.is_file() or cell.key in self._ahead:
+            return
+        if (self.folder / f"{cell.stem}.json").is_file():
+            return  # of a study that is gone on with
+        job = Programs(
+            self._pickled, self.camera, self.spent.size, cell.settings(Settings(exposure=0.0)),
+            moving=not cell.parameters, mirrors=cell.axis_of("reflections"),
+        )  # fmt: skip
+        self._ahead[cell.key] = self._crew.put(job, first)
+
+    def run(self) -> None:
+        """Everything of the scene, each part kept as it is finished."""
         self.folder.mkdir(parents=True, exist_ok=True)
         with self.study.timed(f"{self.name}: reference"):
             self.reference = self._reference()
@@ -103,7 +133,6 @@ class SceneStudy:
         frame.save(self.folder / "reference.png")
         frame.save(self.folder / "reference.exr", aov=())
         self._describe()
-        ready()
         try:
             with self.study.timed(f"{self.name}: techniques"):
                 self._cells()
@@ -113,12 +142,16 @@ class SceneStudy:
         finally:
             if self._comparing is not None:
                 self._comparing.close()
+            self._pickled.unlink(missing_ok=True)
+
+    def _wanted(self) -> list[tuple[Cell, str]]:
+        wanted = [(cell, kind) for kind, cells in self.axes.items() for cell in cells]
+        return sorted(wanted, key=lambda it: bool(it[0].parameters))  # something of everything first
 
     def _cells(self) -> None:
         seen: dict[str, dict[str, Any]] = {}
         started, left_out = time.perf_counter(), 0
-        wanted = [(cell, kind) for kind, cells in self.axes.items() for cell in cells]
-        for cell, kind in sorted(wanted, key=lambda it: bool(it[0].parameters)):  # something of everything first
+        for cell, kind in self._wanted():
             if cell.parameters and time.perf_counter() - started > self.spent.variants_s:
                 left_out += 1
                 self.meter.end(free=True)
@@ -130,6 +163,8 @@ class SceneStudy:
         if len(self.axes) > 1:
             cells = sweep.pairs(self._fronts(), self.spent.pairs)
             self.meter.expect(len(cells) - self.spent.pairs)
+            for cell in cells:
+                self._compile(cell, first=True)
             for cell in cells:
                 self._cell(cell, PAIRS, seen)
             self._settle()
@@ -238,6 +273,8 @@ class SceneStudy:
         if self._comparing is None:
             truth = Truth(self.reference.radiance, self._light(), measure.specular_share(*args), self.reference.light)
             self._comparing = Comparing(truth, self._processes)
+        if self._crew is not None and cell.key in self._ahead:
+            self._crew.wait(lambda: self.meter.part(0.0), self._ahead[cell.key])
         frame, at_rest = measure.draw(*args, settings), None
         if cell.stochastic and (not cell.parameters or papers.AXIS in self.axes):
             for radiance in measure.film(
@@ -245,7 +282,8 @@ class SceneStudy:
             ):
                 at_rest = radiance
         errors = self._comparing.submit(frame, self.folder, stem, at_rest)
-        times = measure.time_frames(*args, settings, self.spent.clock)
+        with self._crew.paused() if self._crew is not None else nullcontext():
+            times = measure.time_frames(*args, settings, self.spent.clock)
         width, height = self.spent.size
         moving = None
         if not cell.parameters:

@@ -56,7 +56,7 @@ def renderer(context: "Context") -> "Iterator[gh.Renderer]":
 
 def _run(folder: Path, monkeypatch: pytest.MonkeyPatch, context: "Context", **extra: object) -> run.Study:
     monkeypatch.setenv("GLHYBRID_CACHE", str(folder / "cache"))
-    monkeypatch.setattr(run, "Renderer", lambda device: gh.Renderer(context=context))
+    monkeypatch.setattr(run, "Renderer", lambda **_: gh.Renderer(context=context))
     # However busy the machine is, nothing is left out for time.
     usual = scene_study.effort
     monkeypatch.setattr(scene_study, "effort", lambda *args: replace(usual(*args), variants_s=np.inf))
