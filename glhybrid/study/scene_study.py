@@ -33,6 +33,7 @@ from glhybrid.study.results import Study
 from glhybrid.study.sweep import PAIRS, Cell
 
 REFERENCE_CELLS = 8  # what a reference counts for in the progress
+ONCE = ""  # stands for what is made once a scene, beside keys of cells
 SMALLEST = 16  # pixels: FLIP and the windows of SSIM want a neighbourhood
 
 
@@ -109,7 +110,7 @@ class SceneStudy:
         self.folder.mkdir(parents=True, exist_ok=True)
         with replacing(self._pickled) as temporary:
             temporary.write_bytes(pickle.dumps(self.scene, pickle.HIGHEST_PROTOCOL))
-        crew.put(Programs(self._pickled, self.camera, self.spent.size, None))
+        self._ahead[ONCE] = crew.put(Programs(self._pickled, self.camera, self.spent.size, None))
         for cell, _ in self._wanted():
             self._compile(cell, first=False)
 
@@ -270,11 +271,12 @@ class SceneStudy:
     def _measure(self, cell: Cell, settings: Settings, stem: str) -> tuple[dict[str, Any], "Future[dict[str, Any]]"]:
         """The row but for its errors, and those."""
         args = self.renderer, self.scene, self.camera, self.spent.size
+        for key in (ONCE, cell.key):
+            if self._crew is not None and key in self._ahead:
+                self._crew.wait(lambda: self.meter.part(0.0), self._ahead[key])
         if self._comparing is None:
             truth = Truth(self.reference.radiance, self._light(), measure.specular_share(*args), self.reference.light)
             self._comparing = Comparing(truth, self._processes)
-        if self._crew is not None and cell.key in self._ahead:
-            self._crew.wait(lambda: self.meter.part(0.0), self._ahead[cell.key])
         frame, at_rest = measure.draw(*args, settings), None
         if cell.stochastic and (not cell.parameters or papers.AXIS in self.axes):
             for radiance in measure.film(

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,9 +26,11 @@ from glhybrid.load.shapes import box
 from glhybrid.scene import Camera, Environment, Light, Material, Scene, Sphere
 from glhybrid.settings import Settings
 from glhybrid.study import direct, measure, picture, reference, run, scene_study, stability, stages
+from glhybrid.study.beside import Crew
 from glhybrid.study.comparing import Comparing
 from glhybrid.study.measure import Clock
 from glhybrid.study.scene_study import SceneStudy
+from glhybrid.study.sweep import Cell
 
 if TYPE_CHECKING:
     from glhybrid.context import Context
@@ -231,23 +234,63 @@ def test_pictures_compared_beside_are_compared_alike(
     assert len(list((tmp_path / "beside" / "out" / "stage").glob("*.flip.png"))) == len(beside.rows)
 
 
-def test_what_is_not_timed_is_made_while_the_reference_converges(
+def test_a_crew_makes_programs_and_what_is_not_timed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, context: "Context"
 ) -> None:
-    """As on a GPU: by other processes, and only found here."""
+    """As on a GPU: cells find their programs compiled, failure cases are only found, and frames are timed alone."""
     if os.environ.get("GLHYBRID_TEST_FORMS"):
         pytest.skip("the forms of this context are not those of other processes")
     usual, gpu = run._beside, SimpleNamespace(context=SimpleNamespace(device=SimpleNamespace(software=False)), tuning=1)
-    device = "software" if context.device.software else "auto"
-    monkeypatch.setattr(run, "_beside", lambda study, _, __, *rest: usual(study, gpu, device, *rest))  # type: ignore[arg-type]
+    device, opened, crews = "software" if context.device.software else "auto", [], []
+
+    @contextmanager
+    def beside(_: object, __: str, output: Path, quick: bool) -> Iterator[Crew]:
+        with usual(gpu, device, output, quick) as crew:  # type: ignore[arg-type]
+            assert crew is not None
+            crews.append(crew)
+            yield crew
+
+    def keeping(**_: object) -> gh.Renderer:
+        opened.append(gh.Renderer(device=device, keep_programs=True))
+        return opened[-1]
+
+    real_measure, real_times, compiled, states = SceneStudy._measure, measure.time_frames, [], []
+
+    def counting(self: SceneStudy, cell: Cell, *rest: object) -> object:
+        programs = opened[0].context.programs
+        assert programs is not None
+        before = programs.compiled
+        row = real_measure(self, cell, *rest)  # type: ignore[arg-type]
+        compiled.append((cell.label, programs.compiled - before))
+        return row
+
+    def timing(*args: object) -> measure.Times:
+        states.append({_state(popen.pid) for popen in crews[0]._running})
+        return real_times(*args)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(run, "_beside", beside)
+    monkeypatch.setattr(run, "Renderer", keeping)
     monkeypatch.setattr(run, "threads_available", lambda: 4)
-    monkeypatch.setattr(run, "UNTIMED", {"failures": lambda: ["terminator"]})
     monkeypatch.setattr(run.library, "cases", lambda: ["terminator"])
     monkeypatch.setattr(run.library, "run", lambda *_, **__: pytest.fail("was made beside"))
-    study = _run(tmp_path, monkeypatch, context, only=("ray", "ray-lerp"), parts=("failures",))
+    monkeypatch.setattr(SceneStudy, "_measure", counting)
+    monkeypatch.setattr(measure, "time_frames", timing)
+    monkeypatch.setenv("GLHYBRID_CACHE", str(tmp_path / "cache"))
+    study = run.run(
+        ("stage",), tmp_path / "out", quick=True, sizes=(SIZE,), samples=8, only=("ray", "map", "ray-lerp"),
+        parts=("failures",), load=lambda _: stage(),
+    )  # fmt: skip
     assert [row["verdict"] for row in study.failures] == ["fails as expected", "holds"]
-    made = list(study.seconds)
-    assert made[1] == "failures, in 2 processes beside the reference" and made[2] == "stage: techniques", made
+    assert list(study.seconds)[:3] == ["stage: reference", "stage: techniques", "waiting for 2 processes beside"]
+    assert len(compiled) == len(study.rows) > 2 and not sum(count for _, count in compiled), compiled
+    assert len(states) == len(study.rows) and set.union(*states) == {"T"}, states
+    assert all(popen.poll() is not None for popen in crews[0]._running), "all have ended"
+    assert not list((tmp_path / "out").rglob("*.part*"))
+
+
+def _state(process: int) -> str:
+    """As Linux has it: T is stopped."""
+    return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
 
 
 def test_a_process_that_compares_says_what_is_wrong(tmp_path: Path) -> None:
