@@ -2,17 +2,19 @@
 
 GLHYBRID_TEST_DEVICE chooses the device (default auto); with GLHYBRID_REQUIRE_GL=1, as `make test` sets it, a machine
 without OpenGL fails instead of skipping. GLHYBRID_TEST_FORMS=gpu runs what a GPU would on a software device (programs in
-parts, its forms of loops, trees built in compute): tests of pictures then find most of what is wrong there. Tests of
-speed and of what software lacks do not hold so.
+parts, its forms of loops, trees built in compute; new images and buffers hold garbage): tests of pictures then find most
+of what is wrong there. Tests of speed and of what software lacks do not hold so.
 """
 
 import os
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+import unwritten
 
 if TYPE_CHECKING:
     from glhybrid.context import Context
@@ -46,9 +48,11 @@ def _shared_context() -> "Iterator[Context]":
         if os.environ.get("GLHYBRID_REQUIRE_GL") == "1":
             raise
         pytest.skip(f"no OpenGL 4.3: {error}")
-    if os.environ.get("GLHYBRID_TEST_FORMS") == "gpu":
-        opened.device = replace(opened.device, software=False)
-    with opened:
+    with ExitStack() as stack:
+        if os.environ.get("GLHYBRID_TEST_FORMS") == "gpu":
+            opened.device = replace(opened.device, software=False)
+            stack.enter_context(unwritten.filled())
+        stack.enter_context(opened)
         yield opened
 
 

@@ -78,6 +78,8 @@ struct Gathered { vec3 sum; float squares, nearness; int rays; };   // nearness:
 
 // Adds what ray i sees, times its weight; beside: what came by other ways at its turn.
 void gather(inout Gathered g, Shine a, ivec2 px, int i, Drawn d, float distance, vec3 seen, vec3 beside) {
+    if (!is_finite(seen)) seen = vec3(0.0);                                // min() of it would be the brightest of all
+    if (!is_finite(beside)) beside = vec3(0.0);
     if (d.sent) {
         g.nearness += 1.0 / max(distance, 1e-30);
         g.rays++;

@@ -11,6 +11,10 @@ bool between_in_8_bits(float x) { return abs(floor(x * 255.0 + 0.5) - 127.5) < 1
 vec2 square2(vec2 x) { return x * x; }
 float pow5(float x) { float x2 = x * x; return x2 * x2 * x; }
 vec3 fresnel_schlick(vec3 f0, float f90, float cos_theta) { return f0 + (vec3(f90) - f0) * pow5(clamp(1.0 - cos_theta, 0.0, 1.0)); }
+// Neither infinite nor no number at all: what every mean over frames asks of what comes in, or it would keep that for ever.
+// Of bits, since compilers may turn comparisons around as if there were only numbers.
+bool is_finite(float x) { return (floatBitsToUint(x) & 0x7F800000u) != 0x7F800000u; }
+bool is_finite(vec3 v) { return is_finite(v.x) && is_finite(v.y) && is_finite(v.z); }
 float luminance(vec3 rgb) { return dot(rgb, vec3(0.2126, 0.7152, 0.0722)); }   // Rec. 709
 
 // atan(y, x) to 2e-7 rad everywhere: drivers' own may be off by 2e-4 (Mesa's acos and atan), which is 3 % of a texel in

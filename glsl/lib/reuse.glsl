@@ -83,7 +83,7 @@ Reused reuse_rays(ivec2 px, Guide g, vec3 v, float extent, float nearest, float 
             vec3 dir = normalize(d + oct_decode(unpackUnorm2x16(ray.x)) * distance);
             vec2 slope = vec2(dot(dir, axes.across), dot(dir, axes.up) + v_up) / max(dot(dir, g.n) + v_n, 1e-3);
             // The same point, seen from a deviation away: so much the slope of the half vector changes.
-            float turned = turn * (1.0 / distance + inverse_depth), s2 = dot(slope, slope);
+            float turned = min(turn * (1.0 / distance + inverse_depth), 1e4), s2 = dot(slope, slope);
             // Of GGX, 1 / (a^2 + |slope - turned|^2)^2, the mean over all sides, closed.
             float about = a2 + s2 + square(turned);
             float inverse = inversesqrt(max(square(about) - 4.0 * s2 * square(turned), square(a2)));

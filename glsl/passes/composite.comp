@@ -113,7 +113,10 @@ void main() {
     color = layers_over(p, color);
 #endif
     vec4 result = vec4(color, covered(p) ? 1.0 : 0.0);
-    if (frame.accumulate > 0.0) result = mix(result, imageLoad(radiance, px), frame.accumulate);
+    if (frame.accumulate > 0.0) {
+        vec4 before = imageLoad(radiance, px);
+        if (is_finite(before.rgb)) result = mix(result, before, frame.accumulate);
+    }
     imageStore(radiance, px, result);
 #if USE_ENCODES
     show(px, result.rgb);

@@ -32,7 +32,7 @@ layout(rgba32f) writeonly uniform image2D out_filtered;    // mean; a: variance 
 // worth: how many equal pixels would be as good.
 struct Near { float mean, variance, extent, distance, nearest, worth; };
 
-bool has_signal(vec4 s) { return IS_VISIBILITY ? s.a >= 0.0 : s.a > 0.0; }
+bool has_signal(vec4 s) { return (IS_VISIBILITY ? s.a >= 0.0 : s.a > 0.0) && is_finite(s.rgb); }
 
 // How many random samples would be as good: those over a disc are so even that their error goes by n^-3/4.
 float as_random(float n) { return USE_DENOISE_SIGNAL == SIGNAL_VISIBILITY ? n * sqrt(n) : n; }
@@ -114,7 +114,10 @@ float mirror_share(float roughness, float NoV) {
 struct Past { vec4 mean; float level, lately, variance, samples, drift; };
 const Past NO_PAST = Past(vec4(0.0), 0.0, 0.0, 0.0, 0.0, 0.0);
 
+bool is_finite(Past p) { return is_finite(p.mean.rgb) && is_finite(vec3(p.mean.a, p.level, p.lately)) && is_finite(vec3(p.variance, p.samples, p.drift)); }
+
 const float DRIFT = 1.0;
+const float MOST_HALF = 6e4;             // more would be infinite in a half float
 
 #if USE_DENOISE_SIGNAL == 3
 const float RESAMPLED = 2.0;
@@ -203,7 +206,7 @@ void hold(inout Past past, float seen, float chance) {
     float allowed = 3.0 * sqrt(chance) + LEAST_CHANGE * seen;
     float off = abs(past.level - seen);
     if (off <= allowed) return;
-    float keep = allowed / off, now = seen + (past.level - seen) * keep, scale = now / max(past.level, 1e-9);
+    float keep = allowed / off, now = max(seen + (past.level - seen) * keep, 0.0), scale = now / max(past.level, 1e-9);
     past.mean.rgb *= scale;
     past.variance *= square(scale);
     past.samples *= past.level > 1e-9 ? square(square(keep)) : 0.0;
@@ -223,7 +226,7 @@ void forget(inout Past past, Near near, float frame_samples) {
     past.lately = mix(clamp(past.lately, near.mean - allowed, near.mean + allowed), near.mean, LATELY);
     hold(past, near.mean, variance * (1.0 / as_random(frame_samples) + before));
     if (past.samples <= 0.0 || past.lately >= past.level) return;
-    variance = max(sqrt(near.variance * past.variance), LATELY_LEAST * past.variance) / near.worth;
+    variance = max(sqrt(near.variance) * sqrt(past.variance), LATELY_LEAST * past.variance) / near.worth;
     hold(past, past.lately, variance * (1.0 / as_random(LATELY_FRAMES * frame_samples) + before));
 }
 
@@ -233,12 +236,14 @@ void main() {
     uvec4 bits = texelFetch(guide, px, 0);
     vec4 s = texelFetch(signal, AT(px), 0);
     vec4 mean = vec4(s.rgb, 0.0), filtered = vec4(s.rgb, -1.0);
+    if (!is_finite(s.rgb)) mean = filtered = vec4(0.0);                    // what is not light: black, for one frame
     float count = 0.0, lately = 0.0;
     vec2 n = is_surface(bits) && has_signal(s) ? noise_of(px, s) : vec2(0.0);
     if (n.y > 0.0) {
         Guide g = unpack_guide(bits, vec2(px));
         Near near = look_around(px, g);
         Past past = look_back(px, g, near);
+        if (!is_finite(past)) past = NO_PAST;
         if (past.samples > 0.0) forget(past, near, n.y);
         else past.lately = near.mean;
         lately = past.lately;
@@ -248,7 +253,7 @@ void main() {
 #if USE_SKY_SAMPLES || USE_EMITTERS
         // What rays to lamps brought is this pixel's alone, and so is its share of the noise.
         vec3 beside = max(s.rgb - reused.own, vec3(0.0));
-        float share = luminance(beside) / max(luminance(reused.mean + beside), 1e-30);
+        float share = min(luminance(beside) / max(luminance(reused.mean + beside), 1e-30), 1.0);
         reused.mean += beside;
         reused.worth = 1.0 / mix(1.0 / reused.worth, 1.0 / n.y, share);
 #endif
@@ -257,12 +262,12 @@ void main() {
 #endif
         past.samples = min(past.samples, max(frames_of(past.drift, as_random(n.y)) - 1.0, 0.0) * n.y);
         count = past.samples + n.y;
-        float now = n.y / count;
+        float now = min(n.y / count, 1.0);                                 // x / x may be more: drivers divide to 2.5 ulp
         mean.rgb = mix(past.mean.rgb, s.rgb, now);
         mean.a = past.samples > 0.0 && past.mean.a > 0.0 && near.extent > 0.0 ? mix(past.mean.a, near.extent, now) : max(near.extent, past.mean.a);
-        filtered = vec4(mean.rgb, mix(past.variance, near.variance, now) / as_random(count));
+        filtered = vec4(mean.rgb, max(mix(past.variance, near.variance, now), 0.0) / as_random(count));
     }
     imageStore(out_history, AT(px), mean);
-    imageStore(out_counts, AT(px), vec4(count, sqrt(lately), 0.0, 0.0));
+    imageStore(out_counts, AT(px), vec4(min(vec2(count, sqrt(lately)), MOST_HALF), 0.0, 0.0));
     imageStore(out_filtered, px, filtered);
 }
