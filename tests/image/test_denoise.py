@@ -10,16 +10,19 @@ from bars import BARS
 from glossy_scenes import SIZE, draw, metal_floor
 from scene_kit import box, constant_sky, floor, matte, metal, scene, sun
 
+from glhybrid.passes.denoise import Denoise
 from glhybrid.scene import Camera, Light, Scene, Sphere
 from glhybrid.settings import Settings
 from glhybrid.timing import Timing
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from glhybrid.renderer import Renderer
+    from glhybrid.staged import Staged
 
     F64 = NDArray[np.float64]
 
@@ -255,6 +258,106 @@ def test_contacts_stay_sharp(renderer: "Renderer") -> None:
         seen, z = frame["visibility"][..., 0].mean(1), frame["position"][..., 2].mean(1)
         widths.append(penumbra_width(z, seen))
     assert widths[1] == pytest.approx(widths[0], rel=0.1), widths
+
+
+def stains(
+    renderer: "Renderer", settings: Settings, soil: "Callable[[Staged, int], None]", step: float = 0.02
+) -> "list[F64]":
+    """Radiance of six frames about a scene; soil(staged, number) is called before each."""
+    world = shaded() if settings.shadows == "ray-soft" else metal_floor(0.25)
+    staged = renderer.stage(world, settings, SIZE)
+    staged.cut()
+    made = []
+    for k in range(6):
+        staged.aim(settings, Camera.look_at((0.4 + step * k, 1.5, 3.4), (0, 0.25, 0), fov_y=np.radians(44)))
+        staged.set(jitter_px=(0, 0), accumulate=0)
+        soil(staged, k)
+        image = staged.frame(Timing(renderer.context.gl.finish, enabled=False))
+        made.append(
+            np.frombuffer(image.read(), np.float32)
+            .reshape(image.height, image.width, 4)[::-1, :, :3]
+            .astype(np.float64)
+        )
+    return made
+
+
+def stain(image: Any, value: float) -> None:
+    """One texel of every layer."""
+    kind = {"f2": np.float16, "f4": np.float32}[image.dtype]
+    at = (SIZE[0] // 2, SIZE[1] // 3)
+    layers = getattr(image, "layers", 0)
+    data = np.full((max(layers, 1), image.components), value, kind).tobytes()
+    image.write(data, (*at, 0, 1, 1, layers) if layers else (*at, 1, 1), alignment=1)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("signal", ["reflection", "visibility"])
+def test_what_is_no_number_is_gone_a_frame_later(
+    renderer: "Renderer", monkeypatch: pytest.MonkeyPatch, signal: str, value: float
+) -> None:
+    """In any image that is kept, or in a noisy one: no picture has it, and after 3 frames nothing tells that it was there.
+
+    Not by chance either: what comes of 0 * NaN, or of a mean with one, is NaN in this frame and all that follow.
+    """
+    settings = glossy(2) if signal == "reflection" else soft(2)
+    clean = stains(renderer, settings, lambda *_: None)
+    names = [f"{signal}_{kept}_{parity}" for kept in ("history", "counts", "level") for parity in ("even", "odd")]
+    for kept in ("history", "counts", "level"):
+
+        def soil(staged: "Staged", number: int, kept: str = kept) -> None:
+            for name in names if number == 2 else ():
+                if kept in name:
+                    stain(staged.targets.get(name), value)
+
+        frames = stains(renderer, settings, soil)
+        assert np.array_equal(frames[1], clean[1]) and not np.array_equal(frames[2], clean[2]), kept
+        assert np.isfinite(frames).all(), kept
+        assert np.abs(frames[5] - clean[5]).mean() < 1e-3 * clean[5].mean(), kept
+
+    noisy, numbers = Denoise._filter, []
+
+    def filter_stained(self: Denoise, targets: Any, which: str, image: Any, more: dict[str, Any]) -> None:
+        if numbers.count(2) and numbers[-1] == 2:  # once: lights' layers are filtered one after the other
+            numbers.append(-1)
+            stain(image, value)
+        noisy(self, targets, which, image, more)
+
+    monkeypatch.setattr(Denoise, "_filter", filter_stained)
+    frames = stains(renderer, settings, lambda _, number: numbers.append(number))
+    assert np.array_equal(frames[1], clean[1]) and not np.array_equal(frames[2], clean[2])
+    assert np.isfinite(frames).all()
+    assert np.abs(frames[5] - clean[5]).mean() < 2e-3 * clean[5].mean()
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+@pytest.mark.parametrize("make", [glossy, soft])
+def test_no_variance_is_negative(renderer: "Renderer", make: "Callable[[int], Settings]", samples: int) -> None:
+    """A fast camera, whose frames hardly count any history: a share of x / x is 1, also where drivers divide to 2.5 ulp."""
+    signal = "reflection" if make is glossy else "visibility"
+
+    def look(staged: "Staged", number: int) -> None:
+        for parity in ("even", "odd") if number > 1 else ():
+            level, counts, history = (
+                staged.targets.read(f"{signal}_{k}_{parity}") for k in ("level", "counts", "history")
+            )
+            counted = counts[..., ::2] > 0
+            assert counted.any() and level[..., 1::2][counted].min() >= 0
+            assert np.isfinite(history).all() and history.min() >= 0 and np.isfinite(counts).all()
+
+    frames = stains(renderer, make(samples), look, step=0.12 if samples == 4 else 0.08)
+    assert np.isfinite(frames).all()
+
+
+def test_a_still_picture_forgets_what_is_no_number(renderer: "Renderer") -> None:
+    """The mean of all frames so far begins anew in a pixel whose mean is no number."""
+    settings = glossy(1)
+
+    def soil(staged: "Staged", number: int) -> None:
+        if number == 3:
+            stain(staged.targets.get("radiance"), np.nan)
+        staged.set(accumulate=number / (number + 1))
+
+    assert np.isfinite(stains(renderer, settings, soil, step=0.0)[3:]).all()
 
 
 def test_things_that_move_are_followed(renderer: "Renderer", models: "Path") -> None:
