@@ -4,7 +4,7 @@
 // BVH_INNER_STEPS inner nodes, then at most one leaf") keeps the lanes of a GPU together; on a CPU there is none.
 // USE_BRANCHLESS is that CPU's form of it. llvmpipe reads and writes a stack in memory lane by lane, and writes behind a branch
 // for each, taken if the lane is at work: a third of the instructions of a turn. So the upper end of the stack is in registers,
-// which a push or pop moves by one, all lanes at once, and memory is seen only between turns: 5 to 15 % faster than stores
+// which a push or pop moves by one, all lanes at once, and memory is seen only between turns: 4 to 11 % faster than stores
 // above the top that count or not, those a seventh faster than "if (both)", the near and far planes by the direction's sign
 // another twentieth, loops with their conditions at the end another tenth.
 // Triangle test: Woop, Benthin, Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1) 2013. `precise` is what makes
@@ -37,8 +37,9 @@ const bool ASKS = ALPHA_TEST || BLENDED || SINGLE_SIDED;    // a hit may have to
 uint stack[BVH_STACK];
 #if USE_BRANCHLESS
 // Its upper end, the top first, REF_BELOW where there is none. The last waits for its way into memory, and its lane with it:
-// fewer wait too often, more cost every turn. Of 5 to 10, 7 is the fastest for all rays of hall, spheres and city.
-const int TOP = 7;
+// fewer registers wait too often, more cost every turn. 7 are the fastest in hall, spheres and city, by 1 %, 10 to 12 in
+// Sponza, by 3 %, where 7 are 8 % behind.
+const int TOP = 9;
 uint top[TOP];
 #endif
 #if USE_STEP_COUNTER
