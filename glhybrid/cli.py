@@ -1,4 +1,4 @@
-"""The command line: `glhybrid render | view | plan | bench | study | scenes | settings | doctor`.
+"""The command line: `glhybrid render | view | plan | bench | study | scenes | settings | cache | doctor`.
 
 Exit codes: 0 done; 1 a bench whose hits differ; 2 bad input or usage; 3 no usable OpenGL; 130 interrupted. A user's
 mistake is one line on stderr, never a traceback. Results go to stdout, everything else to stderr. Nothing heavy is
@@ -7,7 +7,7 @@ imported before a verb runs.
 
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -259,6 +259,31 @@ def settings(
         width = max(len(f"{row.key}={row.value}") for row in found)
         for row in found:
             print(f"{f'{row.key}={row.value}':<{width}}  {row.meaning}")
+    return 0
+
+
+@app.command
+def cache(
+    kind: Annotated[str, Parameter(help="Only of this kind: reference, bvh, ...")] = "",
+    /,
+    *,
+    clear: Annotated[bool, Parameter(help="Delete it; what is needed is made again.")] = False,
+    json: Annotated[bool, Parameter(help="Print one JSON object.")] = False,
+) -> int:
+    """Show what is kept on disk between runs, how much it may be, and delete it."""
+    from glhybrid import caches
+    from glhybrid.jit import cache_dir
+
+    found = caches.look(kind)
+    freed = caches.clear(kind) if clear else 0
+    if json:
+        kinds = [asdict(one) for one in (caches.look(kind) if clear else found)]
+        console.print_json({"folder": str(cache_dir()), "freed": freed, "kinds": kinds})
+    elif clear:
+        print(f"{cache_dir()}: {freed / 2**20:.1f} MiB deleted")
+    else:
+        print(cache_dir())
+        caches.show(found)
     return 0
 
 

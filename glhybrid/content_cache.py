@@ -8,11 +8,14 @@ import contextlib
 import hashlib
 import os
 import tempfile
+import time
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from glhybrid.jit import cache_dir
 
 DIGEST = 20
+STALE_SECONDS = 3600  # a temporary file this old was left by a process that died
 LIMIT_BYTES = {
     "sky": 80 << 20, "unwrap": 512 << 20, "bake": 1 << 30, "probe": 1 << 20, "tuning": 1 << 20,
     "program": 256 << 20,
@@ -55,28 +58,39 @@ def write(kind: str, name: str, data: bytes) -> None:
             temporary = Path(file.name)
             file.write(hashlib.blake2b(data, digest_size=DIGEST).digest() + data)
         os.replace(temporary, path)
-        _trim(path)
+        trim(path, LIMIT_BYTES[kind])
     except OSError:
         if temporary is not None:
             with contextlib.suppress(OSError):
                 temporary.unlink()
 
 
-def _trim(newest: Path) -> None:
-    """Deletes what was used longest ago until the folder is within its limit."""
-    files = []
-    for file in newest.parent.glob(f"*{newest.suffix}"):
-        with contextlib.suppress(OSError):
-            state = file.stat()
-            files.append((state.st_mtime, state.st_size, file))
-    total = sum(size for _, size, _ in files)
-    for _, size, file in sorted(files, key=lambda f: f[0]):
-        if total <= LIMIT_BYTES[newest.suffix[1:]]:
-            break
-        if file != newest:
+def trim(newest: Path, limit: int) -> None:
+    """Deletes what was used longest ago, of files named like `newest` beside it, until they are within the limit; and
+    what dead processes left."""
+    now, kept = time.time(), []
+    for used, size, path in states(newest.parent.iterdir()):
+        if path.suffix == newest.suffix:
+            kept.append((used, size, path))
+        elif path.suffix == ".part" and now - used > STALE_SECONDS:
             with contextlib.suppress(OSError):
-                file.unlink()
+                path.unlink()
+    total = sum(size for _, size, _ in kept)
+    for _, size, path in sorted(kept):
+        if total <= limit:
+            break
+        if path != newest:
+            with contextlib.suppress(OSError):
+                path.unlink()
                 total -= size
+
+
+def states(paths: Iterable[Path]) -> Iterator[tuple[float, int, Path]]:
+    """(time of the last use, bytes, path) of the files that are there."""
+    for path in paths:
+        with contextlib.suppress(OSError):
+            state = path.stat()
+            yield state.st_mtime, state.st_size, path
 
 
 def _path(kind: str, name: str) -> Path:

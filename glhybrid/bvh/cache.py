@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from glhybrid.bvh.blas import SMALL, Blas, build_blas, threads_available
+from glhybrid.content_cache import trim
 from glhybrid.jit import cache_dir
 from glhybrid.scene import F32, U32
 
@@ -33,7 +34,6 @@ ROW = 1024  # 64-bit words that a check adds up
 ROWS = 128  # of them in a block: its 1 MiB stays in a processor's cache
 FEW_RUNS = 4096
 LIMIT_BYTES = 2 << 30
-STALE_SECONDS = 3600  # a temporary file this old was left by a process that died
 _PREFIX = struct.Struct("<8sII")
 
 
@@ -198,28 +198,8 @@ def write(path: Path, key: str, blas: Blas, threads: int = 1) -> None:
             file.write(blas.nodes.data.cast("B"))
             file.write(blas.slots.data.cast("B"))
         os.replace(temporary, path)
-        trim(path.parent, keep=path)
+        trim(path, LIMIT_BYTES)
     except OSError:  # read-only, full or not ours: the tree is there, only the next start is slower
         if temporary is not None:
             with contextlib.suppress(OSError):
                 temporary.unlink()
-
-
-def trim(folder: Path, keep: Path | None = None, limit: int = LIMIT_BYTES) -> None:
-    """Delete the trees used longest ago until the folder is within the limit, and what dead processes left."""
-    trees: list[tuple[float, int, Path]] = []
-    for entry in folder.iterdir():
-        with contextlib.suppress(OSError):
-            state = entry.stat()
-            if entry.suffix == ".blas":
-                trees.append((state.st_mtime, state.st_size, entry))
-            elif entry.suffix == ".part" and time.time() - state.st_mtime > STALE_SECONDS:
-                entry.unlink()
-    total = sum(size for _, size, _ in trees)
-    for _, size, path in sorted(trees, key=lambda tree: tree[0]):
-        if total <= limit:
-            break
-        if path != keep:
-            with contextlib.suppress(OSError):
-                path.unlink()
-                total -= size

@@ -4,9 +4,10 @@ PARTS independent pictures are put together by pixel (robust.py), and leave out 
 told against the plain mean of all paths. Each half of the parts, put together alike, is a picture of
 its own: half the difference of the two is the standard deviation of the whole, so the reference says how small an error
 it can tell. That is watched in FLIP: relative MSE may hang on a few paths that found a sun in a mirror's mirror.
-It is kept on disk by content and goes on from where it was.
+It is kept on disk by content, a third as large as in memory (packing.py), and goes on from where it was.
 """
 
+import contextlib
 import hashlib
 import json
 import logging
@@ -21,12 +22,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from glhybrid.caches import REFERENCES_BYTES
+from glhybrid.content_cache import trim
 from glhybrid.image import replacing
 from glhybrid.jit import cache_dir
 from glhybrid.renderer import Renderer
 from glhybrid.scene import F32, Camera, Scene
 from glhybrid.settings import Settings
 from glhybrid.study import picture, store
+from glhybrid.study.packing import pack, unpack
 from glhybrid.study.robust import mean_of_means
 
 log = logging.getLogger("glhybrid")
@@ -215,8 +219,11 @@ class _Parts:
     def write(self, path: Path) -> None:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+            words, scale = pack(self.sums)
             with replacing(path) as temporary, temporary.open("wb") as file:
-                np.savez(file, parts=self.sums, rest=[self.count, self.batches, self.seconds])
+                np.savez(file, words=words, scale=scale, rest=[self.count, self.batches, self.seconds])
+            trim(path, REFERENCES_BYTES)
+            self.sums, self._known = unpack(words, scale), None  # what another run goes on from
         except Exception as error:  # a cache that cannot be written costs time, nothing else
             log.warning("%s: the reference is not kept: %s", path, error)
 
@@ -224,7 +231,9 @@ class _Parts:
     def read(path: Path, size: tuple[int, int]) -> "_Parts":
         try:
             with path.open("rb") as opened, np.load(opened) as file:  # a damaged archive does not close itself
-                sums, (count, batches, seconds) = file["parts"], file["rest"].tolist()
+                sums, (count, batches, seconds) = unpack(file["words"], file["scale"]), file["rest"].tolist()
+            with contextlib.suppress(OSError):
+                os.utime(path)  # what was used longest ago goes first
             if sums.shape == (PARTS, size[1], size[0], 3):
                 return _Parts(sums, int(count), int(batches), float(seconds))
         except Exception:  # absent, damaged or foreign: made anew

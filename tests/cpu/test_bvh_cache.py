@@ -150,7 +150,7 @@ def test_cache_is_bounded(tmp_path: Path) -> None:
     (tmp_path / "dead.part").write_bytes(b"")
     os.utime(tmp_path / "dead.part", (0, 0))
     (tmp_path / "notes.txt").write_text("not ours")
-    cache.trim(tmp_path, keep=tmp_path / "0.blas", limit=300)
+    cache.trim(tmp_path / "0.blas", limit=300)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["0.blas", "3.blas", "4.blas", "notes.txt"]
 
 
