@@ -12,6 +12,7 @@ import pickle
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, wait
@@ -56,17 +57,31 @@ class Crew:
         self._home, self._numbers = home, itertools.count()
         self._jobs: PriorityQueue[tuple[int, int, Job | None, Future[None]]] = PriorityQueue()
         self._all: list[Future[None]] = []
-        # No lock of the driver's own cache may be held by one that stands still.
-        self._running = [helper.start(COMMAND, nice=10, __GL_SHADER_DISK_CACHE="0") for _ in range(processes)]
-        self._threads = [Thread(target=self._feed, args=(popen,), daemon=True) for popen in self._running]
+        self._running: list[subprocess.Popen[bytes]] = []
+        self._threads: list[Thread] = []
         self._left = processes
-        for thread in self._threads:
-            thread.start()
+        self._folder = tempfile.TemporaryDirectory(prefix="glhybrid-study-")
+        try:
+            for _ in range(processes):  # no lock of the driver's own cache may be held by one that stands still
+                popen = helper.start(COMMAND, nice=10, __GL_SHADER_DISK_CACHE="0")
+                self._running.append(popen)
+                self._threads.append(Thread(target=self._feed, args=(popen,), daemon=True))
+            for thread in self._threads:
+                thread.start()
+        except BaseException:
+            self.close()
+            raise
 
     @property
     def processes(self) -> int:
         """How many there are."""
         return len(self._running)
+
+    def hand_out(self, thing: object) -> Path:
+        """A file with something pickled, for all jobs to read; gone with the crew."""
+        path = Path(self._folder.name) / str(next(self._numbers))
+        path.write_bytes(pickle.dumps(thing, pickle.HIGHEST_PROTOCOL))
+        return path
 
     def put(self, job: Job, first: bool = False) -> "Future[None]":
         """Makes it, after what was put before; first: before all that was not."""
@@ -105,9 +120,12 @@ class Crew:
             popen.kill()
         for _ in self._threads:
             self._jobs.put((-1, next(self._numbers), None, Future()))
-        for popen, thread in zip(self._running, self._threads, strict=True):
-            thread.join()
+        for thread in self._threads:
+            if thread.ident is not None:  # else it was never started
+                thread.join()
+        for popen in self._running:
             popen.communicate()  # closes its pipes
+        self._folder.cleanup()
 
     def _feed(self, popen: "subprocess.Popen[bytes]") -> None:
         """One job after another to one process, until it ends."""

@@ -38,10 +38,15 @@ class Comparing:
         """processes: 0 to do it here."""
         self._truth = truth
         self._free: SimpleQueue[_Process] = SimpleQueue()
-        self._all = [_Process(truth) for _ in range(processes)]
-        for process in self._all:
-            self._free.put(process)
+        self._all: list[_Process] = []
         self._threads = ThreadPoolExecutor(processes) if processes else None
+        try:
+            for _ in range(processes):
+                self._all.append(_Process(truth))
+                self._free.put(self._all[-1])
+        except BaseException:
+            self.close()
+            raise
 
     def submit(self, frame: Frame, folder: Path, stem: str, at_rest: F32 | None = None) -> "Future[dict[str, Any]]":
         """`compared` of the frame, now or later."""

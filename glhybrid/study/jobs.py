@@ -10,6 +10,7 @@ from glhybrid.renderer import Renderer
 from glhybrid.scene import Camera, Scene
 from glhybrid.settings import Settings
 from glhybrid.study import curves, direct, measure, reflected, stability
+from glhybrid.study import paper as papers
 from glhybrid.study.beside import Home
 from glhybrid.study.progress import Meter
 from glhybrid.timing import Timing
@@ -87,6 +88,23 @@ class Failure:
 
         renderer.planned_size = None
         run.failures(renderer, home.output / "failures", Meter(None, lines=False), lambda _: None, [self.name])
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """The truth of one roughness of the paper's figure 8, and the programs of its ways."""
+
+    roughness: float
+
+    def make(self, renderer: Renderer, home: Home) -> None:
+        """Only the truth takes long."""
+        renderer.planned_size = None
+        size = papers.ladder_size(home.quick)
+        scene, camera, _, _ = papers.ladder_truth(renderer, self.roughness, home.quick)
+        for way in papers.ways():
+            settings = way.settings(Settings())
+            renderer.render(scene, camera, size, settings)
+            steady_frame(renderer, scene, size, settings, camera)(Timing(renderer.context.gl.finish, enabled=False))
 
 
 @lru_cache(maxsize=1)

@@ -13,6 +13,7 @@ import numpy as np
 
 from glhybrid.errors import GlhybridError
 from glhybrid.renderer import Renderer
+from glhybrid.scene import Camera, Scene
 from glhybrid.settings import Settings
 from glhybrid.study import measure, picture, reference, stages, store
 from glhybrid.study.measure import Clock
@@ -73,6 +74,35 @@ def _figures(row: dict[str, Any], clock: str) -> dict[str, Any]:
     return {name: row[name] for name in names} | {"ms": row[clock], "frames_per_second": 1e3 / row[clock]}
 
 
+def ways() -> list[Cell]:
+    """To reflect, that the ladder sets side by side."""
+    base, glossy = defaults() | {"shadows": "none", "reflections": "ray-glossy"}, "reflections.ray-glossy"
+    found = [Cell(base | {"reflections": "ray-lerp"})]
+    for n in SAMPLES:
+        found += [
+            Cell(base, {f"{glossy}.samples": n}),
+            Cell(base, {f"{glossy}.samples": n, f"{glossy}.denoise": False}),
+        ]
+    return found
+
+
+def ladder_truth(
+    renderer: Renderer, roughness: float, quick: bool
+) -> tuple[Scene, Camera, reference.Mask, reference.Reference]:
+    """The scene of one roughness, whose pixels count, and what is true of it; kept by reference.converge."""
+    scene, camera = stages.mirror_floor(roughness)
+    size, (target, most) = ladder_size(quick), (0.004, 2048) if quick else (0.002, 4096)
+    plain = Settings(aa=1, reflections="none")
+    floor = renderer.render(scene, camera, size, plain, aovs=("instance_id",))["instance_id"] == 0
+    truth = reference.converge(renderer, scene, camera, size, bounces=2, target=target, most=most, counted=floor)
+    return scene, camera, floor, truth
+
+
+def ladder_size(quick: bool) -> tuple[int, int]:
+    """Of its pictures."""
+    return QUICK_LADDER_SIZE if quick else LADDER_SIZE
+
+
 def ladder(renderer: Renderer, folder: Path, quick: bool, clock: Clock, meter: Meter) -> dict[str, Any]:
     """Figure 8 in figures: bias, RMSE, FLIP and time of ways to reflect in a metal floor, by its roughness.
 
@@ -80,13 +110,9 @@ def ladder(renderer: Renderer, folder: Path, quick: bool, clock: Clock, meter: M
     bias against all light, RMSE in units of the reference's mean.
     """
     meter.begin("the paper's figure 8")
-    size = QUICK_LADDER_SIZE if quick else LADDER_SIZE
-    ways = [Cell(defaults() | {"shadows": "none", "reflections": "ray-lerp"})]
-    base, glossy = defaults() | {"shadows": "none", "reflections": "ray-glossy"}, "reflections.ray-glossy"
-    for n in SAMPLES:
-        ways += [Cell(base, {f"{glossy}.samples": n}), Cell(base, {f"{glossy}.samples": n, f"{glossy}.denoise": False})]
+    size = ladder_size(quick)
     key = store.fingerprint(
-        store.code_digest(), size, [way.key for way in ways], clock.__dict__, renderer.context.device.to_dict()
+        store.code_digest(), size, [way.key for way in ways()], clock.__dict__, renderer.context.device.to_dict()
     )
     brief = replace(clock, frames=min(clock.frames, LADDER_FRAMES), seconds=min(clock.seconds, LADDER_S))
     path = folder / "ladder.json"
@@ -95,15 +121,11 @@ def ladder(renderer: Renderer, folder: Path, quick: bool, clock: Clock, meter: M
         return {k: v for k, v in kept.items() if k != "key"}
     rows = []
     for i, roughness in enumerate(ROUGHNESS):
-        scene, camera = stages.mirror_floor(roughness)
-        target, most = (0.004, 2048) if quick else (0.002, 4096)
-        plain = Settings(aa=1, reflections="none")
-        floor = renderer.render(scene, camera, size, plain, aovs=("instance_id",))["instance_id"] == 0
-        truth = reference.converge(renderer, scene, camera, size, bounces=2, target=target, most=most, counted=floor)
+        scene, camera, floor, truth = ladder_truth(renderer, roughness, quick)
         want = truth.radiance.astype(np.float64)
         mean = float(want[floor].mean())
         drawn = []
-        for way in ways:
+        for way in ways():
             settings = way.settings(Settings())
             try:
                 got = renderer.render(scene, camera, size, settings)["radiance"]

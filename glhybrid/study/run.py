@@ -29,7 +29,7 @@ SCENES = ("atrium", "plaza", "showroom")
 QUICK_SCENES = ("showroom", "atrium")
 PARTS = ("peers", "stability", "failures")  # what is done beside the scenes
 PAPER_PARTS = ("ladder",)
-UNTIMED = ("stability", "failures")  # of these, what processes beside a study make
+UNTIMED = ("ladder", "stability", "failures")  # of these, what processes beside a study make
 FAILURE_CELLS = 20  # what the failure library counts for in the progress
 PEER_CELLS = 1.5  # and one other renderer on one scene
 
@@ -103,7 +103,7 @@ def run(
                 for one in work:
                     one.prepare(crew)
                 if crew is not None:
-                    for job in _untimed(parts):
+                    for job in _untimed(parts, renderer.keeps_programs):
                         crew.put(job)
                 for one in work:
                     one.run()
@@ -186,9 +186,10 @@ def _beside(renderer: Renderer, device: str, output: Path, quick: bool) -> Itera
         crew.close()
 
 
-def _untimed(parts: Sequence[str]) -> list[beside.Job]:
-    """What of a study's parts is not timed."""
+def _untimed(parts: Sequence[str], programs: bool) -> list[beside.Job]:
+    """What of a study's parts is not timed. programs: whether what is kept in the cache is of use."""
     return [
+        *(jobs.Ladder(roughness) for roughness in papers.ROUGHNESS if programs and "ladder" in parts),
         *(jobs.Curve(name) for name in curves.names() if "stability" in parts),
         *(jobs.Failure(name) for name in library.cases() if "failures" in parts),
     ]

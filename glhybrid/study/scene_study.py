@@ -1,7 +1,6 @@
 """One scene of a study: its converged reference, then every cell against it, each kept as it is finished."""
 
 import math
-import pickle
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
@@ -92,7 +91,7 @@ class SceneStudy:
         self.axes, self.spent, self.bounces, self.group = axes, spent, bounces, group or name
         self.folder, self.study, self.meter = output / name, study, meter
         self._crew: Crew | None = None
-        self._pickled = self.folder / ".scene.part"
+        self._pickled: Path | None = None  # the scene, if programs are made ahead
         self._ahead: dict[str, Future[None]] = {}  # by cell: its programs are there
         self._comparing: Comparing | None = None
         self._pending: list[tuple[dict[str, Any], Future[dict[str, Any]]]] = []
@@ -107,15 +106,13 @@ class SceneStudy:
         self._crew = crew
         if crew is None or not self.renderer.keeps_programs:
             return
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with replacing(self._pickled) as temporary:
-            temporary.write_bytes(pickle.dumps(self.scene, pickle.HIGHEST_PROTOCOL))
+        self._pickled = crew.hand_out(self.scene)
         self._ahead[ONCE] = crew.put(Programs(self._pickled, self.camera, self.spent.size, None))
         for cell, _ in self._wanted():
             self._compile(cell, first=False)
 
     def _compile(self, cell: Cell, first: bool) -> None:
-        if self._crew is None or not self._pickled.is_file() or cell.key in self._ahead:
+        if self._crew is None or self._pickled is None or cell.key in self._ahead:
             return
         if (self.folder / f"{cell.stem}.json").is_file():
             return  # of a study that is gone on with
@@ -143,7 +140,6 @@ class SceneStudy:
         finally:
             if self._comparing is not None:
                 self._comparing.close()
-            self._pickled.unlink(missing_ok=True)
 
     def _wanted(self) -> list[tuple[Cell, str]]:
         wanted = [(cell, kind) for kind, cells in self.axes.items() for cell in cells]

@@ -196,6 +196,79 @@ def test_a_killed_study_goes_on(tmp_path: Path) -> None:
     assert len(made) == len(study.rows) + 1 > len(kept)
 
 
+AS_ON_A_GPU = """
+import sys
+from types import SimpleNamespace
+from glhybrid import cli
+from glhybrid.study import run
+from glhybrid.study.scene_study import SceneStudy
+
+usual, gpu = run._beside, SimpleNamespace(context=SimpleNamespace(device=SimpleNamespace(software=False)), tuning=1)
+run._beside = lambda _, *rest: usual(gpu, *rest)
+run.threads_available = lambda: 4
+run.PARTS = ()
+SceneStudy._processes = 2
+sys.exit(cli.main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize("cells", [0, 2])
+def test_an_interrupted_study_says_so_and_goes_on(tmp_path: Path, cells: int) -> None:
+    """Ctrl-C in a terminal goes to the whole process group, while the reference converges or cells are measured; with
+    processes that compile ahead and compare: one line, exit code 130, nobody left behind, and the same command goes on.
+    """
+    scene, folder = tmp_path / "post.toml", tmp_path / "out" / "post"
+    scene.write_text(POST)
+    environment = os.environ | {"GLHYBRID_CACHE": str(tmp_path / "cache"), "GLHYBRID_TUNING": "off"}
+    command = [
+        sys.executable, "-c", AS_ON_A_GPU, "study", str(scene), "--quick", "--size", "48x36", "--samples", "64",
+        "--techniques", "ray,env", "-o", str(tmp_path / "out"),
+    ]  # fmt: skip
+
+    def begin() -> "subprocess.Popen[str]":
+        return subprocess.Popen(
+            command, env=environment, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        )  # fmt: skip
+
+    running, deadline = begin(), time.perf_counter() + 120
+
+    def kept() -> dict[Path, bytes]:
+        rows = [path for path in folder.glob("*.json") if ".part" not in path.name and path.name != "reference.json"]
+        return {path: path.read_bytes() for path in rows}
+
+    helpers: set[int] = set()
+    while time.perf_counter() < deadline and running.poll() is None:
+        helpers |= _children(running.pid)
+        if len(kept()) >= cells and len(helpers) >= 2:
+            break
+        time.sleep(0.02)
+    os.killpg(running.pid, signal.SIGINT)
+    said, errors = running.communicate(timeout=60)
+    assert running.returncode == 130 and not said, errors
+    lines = errors.splitlines()
+    assert all(line.startswith("glhybrid: ") for line in lines), errors
+    assert lines[-1] == "glhybrid: error: interrupted" and sum("stopped; the same command" in x for x in lines) <= 1
+    deadline = time.perf_counter() + 20  # who was only just started looks for us first
+    while left := [pid for pid in helpers if Path(f"/proc/{pid}").exists()]:
+        assert time.perf_counter() < deadline, f"left behind: {left}"
+        time.sleep(0.05)
+    assert helpers
+    before = kept()
+    assert len(before) >= cells and not list((tmp_path / "out").rglob("*.part*"))
+    if not cells:
+        return
+    again = begin()
+    _, errors = again.communicate(timeout=120)
+    assert again.returncode == 0, errors
+    after = kept()
+    assert len(after) > len(before) and all(after[path] == data for path, data in before.items())
+
+
+def _children(parent: int) -> set[int]:
+    return {int(pid) for task in Path(f"/proc/{parent}/task").glob("*/children") for pid in task.read_text().split()}
+
+
 POST = """
 [camera.main]
 eye = [3, 2, 4]
