@@ -30,7 +30,7 @@ void main() {
             if (hit.triangle == ID_NONE && !bent) reason = REASON_ENVIRONMENT;
         }
     }
-    store_mirror(px, ray.dir, hit);
+    if (covered(p)) store_mirror(px, ray.dir, hit);                        // else nobody looks
 #if USE_MIRROR_SHADOWS
     if (hit.triangle != ID_NONE) imageStore(mirror_lit, px, uvec4(lit_bits(hit, ray)));
 #endif

@@ -7,5 +7,8 @@ layout(rgba32f) writeonly restrict uniform image2D out_reflection;    // radianc
 void main() {
     ivec2 px;
     if (!mirror_pixel(px)) return;
-    imageStore(out_reflection, px, mirror_radiance(px, load_pixel(px)));
+    Pixel p = load_pixel(px);
+    vec4 seen = vec4(0.0);
+    if (covered(p)) seen = mirror_radiance(px, p);
+    imageStore(out_reflection, px, seen);
 }

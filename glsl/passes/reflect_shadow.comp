@@ -8,7 +8,9 @@ layout(r32ui) writeonly restrict uniform uimage2D mirror_lit;    // a bit a ligh
 void main() {
     ivec2 px;
     if (!mirror_pixel(px)) return;
+    Pixel p = load_pixel(px);
+    if (!covered(p)) return;
     Ray ray;
-    Hit hit = load_mirror(px, load_pixel(px), ray);
+    Hit hit = load_mirror(px, p, ray);
     if (hit.triangle != ID_NONE) imageStore(mirror_lit, px, uvec4(lit_bits(hit, ray)));
 }
