@@ -4,6 +4,7 @@ pixels takes seconds of a core. On a software device, whose times that would dis
 
 import os
 import pickle
+from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from queue import SimpleQueue
@@ -40,6 +41,7 @@ class Comparing:
         self._free: SimpleQueue[_Process] = SimpleQueue()
         self._all: list[_Process] = []
         self._threads = ThreadPoolExecutor(processes) if processes else None
+        self._folders: set[Path] = set()
         try:
             for _ in range(processes):
                 self._all.append(_Process(truth))
@@ -54,6 +56,7 @@ class Comparing:
             done: Future[dict[str, Any]] = Future()
             done.set_result(compared(frame, self._truth, folder, stem, at_rest))
             return done
+        self._folders.add(folder)
         job = Frame(frame.rgb, {name: frame[name] for name in ("radiance", "visibility")}), folder, stem, at_rest
         return self._threads.submit(self._ask, job)
 
@@ -71,7 +74,7 @@ class Comparing:
         if self._threads is not None:
             self._threads.shutdown(cancel_futures=True)  # whoever still reads from one has met its end
         for process in self._all:
-            process.close()
+            process.close(self._folders)
 
 
 class _Process:
@@ -97,9 +100,12 @@ class _Process:
     def kill(self) -> None:
         self._popen.kill()
 
-    def close(self) -> None:
-        """Once nobody asks it any more."""
+    def close(self, folders: Iterable[Path]) -> None:
+        """Once nobody asks it any more. folders: where it may have been writing."""
         self._popen.communicate()
+        for folder in folders:
+            for path in folder.glob(f".*.{self._popen.pid}.part*"):
+                path.unlink(missing_ok=True)
 
 
 def serve() -> None:

@@ -14,11 +14,14 @@ import sys
 from typing import IO, Any
 
 _PR_SET_PDEATHSIG = 1
+# Cores are shared out among processes. Threads of OpenMP (FLIP's) and of NumPy's BLAS that wait for each other spin: of
+# sixteen processes with sixteen threads each none gets anywhere.
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
 
 def start(command: str, nice: int = 0, **environment: str) -> "subprocess.Popen[bytes]":
-    """A Python process that runs a command. nice: how much it yields to others."""
-    variables = os.environ | environment | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    """A Python process of one thread that runs a command. nice: how much it yields to others."""
+    variables = os.environ | ONE_THREAD | environment | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
     prelude = f"from glhybrid.study import helper; helper.begin({os.getpid()}, {nice}); "
     return subprocess.Popen(
         [sys.executable, "-c", prelude + command], stdin=subprocess.PIPE, stdout=subprocess.PIPE,

@@ -1,7 +1,8 @@
 """One cell: its picture, its time and its figures."""
 
+import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +87,14 @@ class Truth:
     light: Direct | None
     specular: F32
     all_light: picture.AllLight | None = None
+    _shadows: dict[bytes, dict[str, Any]] = field(default_factory=dict, repr=False)  # figures by content
+
+    def shadow_figures(self, visibility: F32) -> dict[str, Any]:
+        """`shadow_figures`, once for equal ones: techniques of other kinds leave shadows alone."""
+        key = hashlib.blake2b(np.ascontiguousarray(visibility).data, digest_size=16).digest()
+        if key not in self._shadows:
+            self._shadows[key] = shadow_figures(visibility, self.light)
+        return self._shadows[key]
 
 
 def film(
@@ -118,7 +127,7 @@ def figures(frame: Frame, truth: Truth) -> tuple[dict[str, Any], F32]:
     difference, flip = picture.compare(frame["radiance"], truth.radiance, truth.all_light)
     row: dict[str, Any] = difference.to_dict()
     row["flip_reflection"] = picture.weighted_mean(flip, truth.specular)
-    row |= shadow_figures(frame["visibility"], truth.light)
+    row |= truth.shadow_figures(frame["visibility"])
     return row, flip
 
 

@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -33,6 +33,7 @@ from glhybrid.study.sweep import PAIRS, Cell
 
 REFERENCE_CELLS = 8  # what a reference counts for in the progress
 ONCE = ""  # stands for what is made once a scene, beside keys of cells
+PATIENCE_S = 8.0  # that a user who has pressed Ctrl-C is kept for
 SMALLEST = 16  # pixels: FLIP and the windows of SSIM want a neighbourhood
 
 
@@ -135,7 +136,7 @@ class SceneStudy:
             with self.study.timed(f"{self.name}: techniques"):
                 self._cells()
         except KeyboardInterrupt:
-            self._settle()  # what was measured is compared yet, and kept; asked a second time, it is not
+            self._give_up()
             raise
         finally:
             if self._comparing is not None:
@@ -258,6 +259,12 @@ class SceneStudy:
             row |= errors.result()
             row |= {name: row.pop(name) for name in ("axes", "cell")}  # last, as where it was kept: files stay the same
             self.study.rows.append(row)
+
+    def _give_up(self) -> None:
+        """What was measured is compared yet, and kept, as far as PATIENCE_S lets; asked a second time, it is not."""
+        wait([errors for _, errors in self._pending], PATIENCE_S)
+        self._pending = [(row, errors) for row, errors in self._pending if errors.done()]
+        self._settle()
 
     @cached_property
     def _processes(self) -> int:
