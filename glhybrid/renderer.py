@@ -3,6 +3,7 @@
 import time
 import weakref
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from functools import cached_property
 from typing import Any, Self
 
@@ -46,6 +47,7 @@ class Renderer:
         self.context = context or open_context(device, keep_programs)
         self.shaders = Shaders(self.context)
         self._most = INTERACTIVE_STAGINGS if interactive else 1
+        self._spare = interactive  # images of two sizes
         self.planned_size: tuple[int, int] | None = None  # decides between raster and rays in place of a picture's own
         self._stagings: list[Staged] = []  # the last one was used last
         self._seen: Camera | None = None  # was checked last
@@ -157,7 +159,7 @@ class Renderer:
             if staged.fits(scene, settings, aovs):
                 self._stagings.remove(staged)
                 self._stagings.append(staged)
-                staged.resume(scene, settings, size, self._most > 1, self.planned_size)
+                staged.resume(scene, settings, size, self._spare, self.planned_size)
                 return staged
         shared = next((s for s in reversed(self._stagings) if s.shares_upload(scene, settings)), None)
         self._drop(self._most - 1, shared.upload if shared else None)
@@ -196,6 +198,16 @@ class Renderer:
         while len(self._stagings) > most:
             old = self._stagings.pop(0)
             old.release(keep_upload=old.upload is wanted or any(s.upload is old.upload for s in self._stagings))
+
+    @contextmanager
+    def keeping(self, stagings: int) -> Iterator[None]:
+        """Within, so many are kept ready: for who goes to and fro between scenes."""
+        before, self._most = self._most, max(stagings, self._most)
+        try:
+            yield
+        finally:
+            self._most = before
+            self._drop(before)
 
     def reload_shaders(self) -> int:
         """Compiles programs anew whose files have changed; returns how many. What is on the GPU of scenes stays.

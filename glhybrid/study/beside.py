@@ -31,6 +31,7 @@ MOST = 12  # processes: each compiles, and holds a context
 COMMAND = "from glhybrid.study.beside import serve; serve()"
 LOOK_S = 0.2  # between two looks at the clock
 STALL_S = 90.0  # without a job done, whatever keeps them: the rest is then made by the study
+STOP_S = 0.5  # that processes are waited for that are to stand still
 SETTLE_S = 0.005  # until a GPU has done what it was told by a process that stands still
 
 
@@ -96,6 +97,9 @@ class Crew:
         try:
             for popen in self._running:
                 popen.send_signal(signal.SIGSTOP)
+            until = time.monotonic() + STOP_S
+            while not all(map(helper.stands, self._running)) and time.monotonic() < until:
+                time.sleep(SETTLE_S)  # who waits for a core hears it late
             time.sleep(SETTLE_S)
             yield
         finally:

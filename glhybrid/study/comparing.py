@@ -4,7 +4,7 @@ pixels takes seconds of a core. On a software device, whose times that would dis
 
 import os
 import pickle
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from queue import SimpleQueue
@@ -17,6 +17,7 @@ from glhybrid.scene import F32
 from glhybrid.study import helper
 from glhybrid.study.measure import Truth, compared
 
+HERE = 2  # threads of this process that work with NumPy
 FREE = 2  # threads left to this process and the driver
 BYTES_A_PIXEL = 600  # of memory: 200 by FLIP, the rest by the truth and pictures
 COMMAND = "from glhybrid.study.comparing import serve; serve()"
@@ -41,6 +42,7 @@ class Comparing:
         self._free: SimpleQueue[_Process] = SimpleQueue()
         self._all: list[_Process] = []
         self._threads = ThreadPoolExecutor(processes) if processes else None
+        self._here = ThreadPoolExecutor(HERE) if processes else None
         self._folders: set[Path] = set()
         try:
             for _ in range(processes):
@@ -60,6 +62,14 @@ class Comparing:
         job = Frame(frame.rgb, {name: frame[name] for name in ("radiance", "visibility")}), folder, stem, at_rest
         return self._threads.submit(self._ask, job)
 
+    def call(self, work: Callable[..., dict[str, Any]], *args: Any) -> "Future[dict[str, Any]]":
+        """NumPy's work, here: beside this thread where pictures are compared beside this process, else at once."""
+        if self._here is not None:
+            return self._here.submit(work, *args)
+        done: Future[dict[str, Any]] = Future()
+        done.set_result(work(*args))
+        return done
+
     def _ask(self, job: Any) -> dict[str, Any]:
         process = self._free.get()
         try:
@@ -73,6 +83,8 @@ class Comparing:
             process.kill()
         if self._threads is not None:
             self._threads.shutdown(cancel_futures=True)  # whoever still reads from one has met its end
+        if self._here is not None:
+            self._here.shutdown(cancel_futures=True)
         for process in self._all:
             process.close(self._folders)
 

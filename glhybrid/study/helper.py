@@ -11,6 +11,7 @@ import pickle
 import signal
 import subprocess
 import sys
+from pathlib import Path
 from typing import IO, Any
 
 _PR_SET_PDEATHSIG = 1
@@ -37,6 +38,14 @@ def begin(parent: int, nice: int) -> None:
     if os.getppid() != parent:
         os._exit(1)
     os.nice(nice)
+
+
+def stands(process: "subprocess.Popen[bytes]") -> bool:
+    """Whether it stands still, or has ended; False where that is not told."""
+    try:
+        return Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()[0] in "TtZ"
+    except OSError:
+        return process.poll() is not None
 
 
 def answering() -> IO[bytes]:

@@ -59,18 +59,29 @@ class Mirrors:
 
     def ask(self, renderer: Renderer, settings: Settings) -> Shown:
         """What a technique shows of it; shadows have no say."""
+        return self.judge(*self.look(renderer, settings))
+
+    def look(self, renderer: Renderer, settings: Settings) -> tuple[F32, F64 | None]:
+        """Colours (H, W, 3) in the mirrors, and the points (H, W, 3) shown there; None where none is to be told."""
         settings = settings.replace(shadows="none")
         aovs = ("reflection", "reflection_hit", "reason", "position")
         frame = renderer.render(self.scene, self.camera, self.size, settings, aovs=aovs)
-        off = np.abs(frame["reflection"] - self.colour).max(-1)
-        right = self.counted & (off < 0.25 / LEVELS)
+        told = self._right(frame["reflection"]) & np.isfinite(self.distance) & (self.distance > 0)
+        points = shown_points(renderer, self.scene, self.rays, frame, settings) if told.any() else None
+        return frame["reflection"], points
+
+    def _right(self, colour: F32) -> NDArray[np.bool_]:
+        return self.counted & (np.abs(colour - self.colour).max(-1) < 0.25 / LEVELS)
+
+    def judge(self, colour: F32, points: F64 | None) -> Shown:
+        """The figures of what look() gave; without OpenGL."""
+        right = self._right(colour)
         count = max(int(self.counted.sum()), 1)
         percent = 100 * float(right.sum()) / count
         sky = right & np.isinf(self.distance)
-        told = right & np.isfinite(self.distance) & (self.distance > 0)
-        if not told.any():
+        if points is None:
             return Shown(percent, 100 * float(sky.sum()) / count, None, None, None)
-        points = shown_points(renderer, self.scene, self.rays, frame, settings)
+        told = right & np.isfinite(self.distance) & (self.distance > 0)
         px, share = self.rays.error_px(points), self._away(points)
         known = told & np.isfinite(share)
         if not known.any():  # it shows objects, and tells no points

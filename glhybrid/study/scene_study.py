@@ -8,6 +8,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -63,7 +64,7 @@ def effort(
             256 if software else 2048, 30.0 if software else 10.0, 150.0, 2, 4,
         )  # fmt: skip
     else:
-        clock = Clock(5, 0.5, 4.0) if software else Clock(64, 0.25, 1.0)
+        clock = Clock(5, 0.5, 4.0) if software else Clock(64, 0.15, 1.0)
         chosen = Effort(
             (640, 360) if software else (1920, 1080), clock, 64, 0.002, 1024 if software else 4096,
             math.inf if software else 60.0, math.inf, 8 if software else 16, 24,
@@ -133,7 +134,10 @@ class SceneStudy:
         frame.save(self.folder / "reference.exr", aov=())
         self._describe()
         try:
-            with self.study.timed(f"{self.name}: techniques"):
+            with (
+                self.study.timed(f"{self.name}: techniques"),
+                self.renderer.keeping(2),
+            ):  # the scene's, and its mirrors'
                 self._cells()
         except KeyboardInterrupt:
             self._give_up()
@@ -294,18 +298,18 @@ class SceneStudy:
         if not cell.parameters:
             small = (width // 2, height // 2)
             moving = stability.pan(self.renderer, self.scene, self._pan_camera, small, settings, self.spent.pan_steps)
-        shown = None
+        parts = [errors]
         if self._mirrors is not None and cell.axis_of("reflections"):
-            shown = self._mirrors.ask(self.renderer, settings)
+            parts.append(self._comparing.call(_judge, self._mirrors, *self._mirrors.look(self.renderer, settings)))
         row = {
             "scene": self.name, "size": list(self.spent.size), **measure.describe(cell, times),
             "bytes": measure.memory(frame.receipt),
             "flicker": moving.flicker if moving else None,
             "flicker_p99": moving.flicker_p99 if moving else None,
             "flip_rate_percent": moving.flip_rate_percent if moving else None,
-            **(shown.to_dict() if shown else reflected.NOTHING),
+            **reflected.NOTHING,
         }  # fmt: skip
-        return row, errors
+        return row, _joined(parts)
 
     def _light(self) -> direct.Direct | None:
         if not self.scene.lights or not self.scene.instances:
@@ -320,6 +324,31 @@ class SceneStudy:
     def _pan_camera(self) -> Camera:
         depth = stability.typical_depth(self.renderer, self.scene, self.camera)
         return stability.orthographic(self.camera, depth)
+
+
+def _judge(mirrors: reflected.Mirrors, *seen: Any) -> dict[str, Any]:
+    return mirrors.judge(*seen).to_dict()
+
+
+def _joined(parts: "Sequence[Future[dict[str, Any]]]") -> "Future[dict[str, Any]]":
+    """What all of them give, together; what one raises."""
+    whole: Future[dict[str, Any]] = Future()
+    left, lock = [len(parts)], Lock()
+
+    def one_more(_: object) -> None:
+        with lock:
+            left[0] -= 1
+            last = not left[0]
+        if not last:
+            return
+        try:
+            whole.set_result({name: value for part in parts for name, value in part.result().items()})
+        except BaseException as error:
+            whole.set_exception(error)
+
+    for part in parts:
+        part.add_done_callback(one_more)
+    return whole
 
 
 def _keep(path: Path, key: str, row: dict[str, Any], errors: "Future[dict[str, Any]]") -> None:
