@@ -4,7 +4,7 @@
 // BVH_INNER_STEPS inner nodes, then at most one leaf") keeps the lanes of a GPU together; on a CPU there is none.
 // USE_BRANCHLESS is that CPU's form of it. llvmpipe reads and writes a stack in memory lane by lane, and writes behind a branch
 // for each, taken if the lane is at work: a third of the instructions of a turn. So the upper end of the stack is in registers,
-// which a push or pop moves by one, all lanes at once, and memory is seen only between turns: 4 to 11 % faster than stores
+// which a push or pop moves by one, all lanes at once, and memory is seen only between turns: up to an eighth faster than stores
 // above the top that count or not, those a seventh faster than "if (both)", the near and far planes by the direction's sign
 // another twentieth, loops with their conditions at the end another tenth.
 // Triangle test: Woop, Benthin, Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1) 2013. `precise` is what makes
@@ -37,9 +37,9 @@ const bool ASKS = ALPHA_TEST || BLENDED || SINGLE_SIDED;    // a hit may have to
 uint stack[BVH_STACK];
 #if USE_BRANCHLESS
 // Its upper end, the top first, REF_BELOW where there is none. The last waits for its way into memory, and its lane with it:
-// fewer registers wait too often, more cost every turn. 7 are the fastest in hall, spheres and city, by 1 %, 10 to 12 in
-// Sponza, by 3 %, where 7 are 8 % behind.
-const int TOP = 9;
+// fewer registers wait too often, more cost every turn. The fastest are 7 in hall, spheres and city with their 24 entries, by
+// 1 % to 9, and 10 to 12 in Sponza with its 36, by 10 % to 7.
+const int TOP = clamp(BVH_STACK / 4 + 1, 4, 12);
 uint top[TOP];
 #endif
 #if USE_STEP_COUNTER
@@ -134,6 +134,15 @@ bool one_sign(vec3 w) {
 #endif
 }
 
+// min and max as GLSL defines them. llvmpipe's do more, with a NaN, and take three instructions instead of one.
+#if USE_BRANCHLESS
+float lesser(float a, float b) { precise float found = b < a ? b : a; return found; }
+float greater(float a, float b) { precise float found = a < b ? b : a; return found; }
+#else
+float lesser(float a, float b) { return min(a, b); }
+float greater(float a, float b) { return max(a, b); }
+#endif
+
 // Woop's test. Returns det (0 = outside) and the scaled weights of v0, v1, v2, and the depths along the ray's main axis.
 float triangle_weights(LocalRay r, vec3 v0, vec3 v1, vec3 v2, out vec3 weights, out vec3 depths) {
     vec3 a = permute(v0 - r.origin, r.axis), b = permute(v1 - r.origin, r.axis), c = permute(v2 - r.origin, r.axis);
@@ -173,7 +182,8 @@ bool intersect_triangle(LocalRay r, vec3 v0, vec3 v1, vec3 v2, float t_min, floa
     // t from the plane: more exact than the weighted depths; clamped to them, where a sliver's normal is noise.
     vec3 n = cross(v1 - v0, v2 - v0);
     float facing = dot(r.dir, n);
-    t = clamp(dot(v0 - r.origin, n) / facing, min3(depths), max3(depths));
+    t = greater(dot(v0 - r.origin, n) / facing, lesser(lesser(depths.x, depths.y), depths.z));
+    t = lesser(t, greater(greater(depths.x, depths.y), depths.z));
     if (facing == 0.0) t = dot(weights, depths) / det;
     front = facing < 0.0;
     return det != 0.0 && t >= t_min && t <= t_max;                               // a NaN t fails
@@ -245,10 +255,13 @@ void turn(inout uint cur, LocalRay local, float t_min, float t_max, const bool c
     uvec4 a = texelFetch(nodes, int(cur) * 2), b = texelFetch(nodes, int(cur) * 2 + 1);
     ivec2 in_a = box_span(a.xyz, local, t_min, t_max), in_b = box_span(b.xyz, local, t_min, t_max);
     bool meets_a = in_a.x <= in_a.y, meets_b = in_b.x <= in_b.y;
-    bool b_next = meets_b && (!meets_a || (closest ? in_b.x < in_a.x : in_b.x > in_a.x));
-    cur = meets_a || meets_b ? (b_next ? b.w : a.w) : top[0];
+    bool b_first = closest ? in_b.x < in_a.x : in_b.x > in_a.x;                  // if both are met
+    uint next = b_first ? b.w : a.w;
+    next = meets_b ? next : a.w;
+    next = meets_a ? next : b.w;
+    cur = meets_a || meets_b ? next : top[0];
     pop(!meets_a && !meets_b);                                                   // from below, then push from above: each
-    push(b_next ? a.w : b.w, meets_a && meets_b);                                // register is written once
+    push(b_first ? a.w : b.w, meets_a && meets_b);                               // register is written once
 #if USE_STEP_COUNTER
     step_count++;
 #endif
