@@ -29,11 +29,12 @@ demo: setup
 	@$(BIN)/glhybrid render atrium -o $(DEMO)
 	@echo "The picture: $(abspath $(DEMO))"
 
+# Compiled modules are kept, also where containers say otherwise: tests start many processes.
 test: setup-dev
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
-	GLHYBRID_REQUIRE_GL=1 LP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+	PYTHONDONTWRITEBYTECODE= GLHYBRID_REQUIRE_GL=1 LP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
 
 sheet: setup
 	@mkdir -p out

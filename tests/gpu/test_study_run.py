@@ -67,9 +67,20 @@ def _run(folder: Path, monkeypatch: pytest.MonkeyPatch, context: "Context", **ex
     return run.run(("stage",), folder / "out", load=lambda _: stage(), **(options | extra))  # type: ignore[arg-type]
 
 
-def test_a_study_end_to_end_and_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, context: "Context") -> None:
-    first = _run(tmp_path, monkeypatch, context, command="glhybrid study stage -o out")
-    out = tmp_path / "out"
+@pytest.fixture(scope="module")
+def studied(tmp_path_factory: pytest.TempPathFactory, _shared_context: "Context") -> tuple[Path, run.Study]:
+    """The folder of a whole study, and what it gave."""
+    _shared_context.make_current()
+    folder = tmp_path_factory.mktemp("studied")
+    with pytest.MonkeyPatch.context() as patch:
+        return folder, _run(folder, patch, _shared_context, command="glhybrid study stage -o out")
+
+
+def test_a_study_end_to_end_and_again(
+    studied: tuple[Path, run.Study], monkeypatch: pytest.MonkeyPatch, context: "Context"
+) -> None:
+    folder, first = studied
+    out = folder / "out"
     results = json.loads((out / "results.json").read_text())
     assert results["rows"] and results["machine"]["device"]["renderer"]
     wanted = {
@@ -99,7 +110,7 @@ def test_a_study_end_to_end_and_again(tmp_path: Path, monkeypatch: pytest.Monkey
     assert (out / "charts" / "stage-picture.svg").is_file()
     # Again: nothing is measured, every figure is as it was.
     monkeypatch.setattr(measure, "time_frames", lambda *_: pytest.fail("was kept"))
-    second = _run(tmp_path, monkeypatch, context)
+    second = _run(folder, monkeypatch, context)
     assert [r["frame_ms"] for r in second.rows] == [r["frame_ms"] for r in first.rows]
 
 
@@ -162,6 +173,7 @@ def test_a_stopped_study_goes_on(
     assert not list((tmp_path / "out").rglob("*.part*"))
     assert len(json.loads((tmp_path / "out" / "results.json").read_text())["rows"]) == 2, "what there is, is shown"
     assert (tmp_path / "out" / "report.html").is_file()
+    monkeypatch.setattr(SceneStudy, "_processes", 0)  # who goes on needs none
     study = _run(tmp_path, monkeypatch, context)
     assert len(calls) == 3 + len(study.rows) - 2
 
@@ -290,10 +302,10 @@ translate = [0, 0.5, 0]
 
 
 def test_pictures_compared_beside_are_compared_alike(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, context: "Context"
+    studied: tuple[Path, run.Study], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, context: "Context"
 ) -> None:
     """In other processes, as on a GPU: the same figures to the bit, and the same rows in the same order."""
-    here = _run(tmp_path, monkeypatch, context)
+    here = studied[1]
     monkeypatch.setattr(scene_study.SceneStudy, "_processes", 2)
     beside = _run(tmp_path / "beside", monkeypatch, context)
     names = ("flip", "flip_shadow", "flip_reflection", "rel_mse", "psnr", "ssim", "wrong_shadow_percent", "images")
@@ -427,12 +439,13 @@ def test_bias_is_told_against_all_light(renderer: gh.Renderer, tmp_path: Path) -
     parts: list[stages.Part] = [(box(size=(1, 0.2, 1)), 0, (0, -0.1, 0)), (box(size=(200, 200, 1)), 1, (0, 90, -1.5))]
     down = Camera.look_at((0, 5, 0), (0, 0, 0), up=(0, 0, -1), fov_y=0.15)
     scene, camera = stages.placed("half", parts, (floor, mirror), down, environment=Environment(sky))
-    found = reference.converge(renderer, scene, camera, SIZE, bounces=1, target=0.0, most=256, folder=tmp_path)
+    size = (48, 36)
+    found = reference.converge(renderer, scene, camera, size, bounces=1, target=0.0, most=256, folder=tmp_path)
     assert 20 < found.left_out_percent < 50
 
     def compared(bounces: int, samples: int) -> picture.Difference:
         settings = Settings(reflections="reference", aa=1, bounces=bounces, samples=samples, seed=12345)
-        got = renderer.render(scene, camera, SIZE, settings)["radiance"]
+        got = renderer.render(scene, camera, size, settings)["radiance"]
         return picture.compare(got, found.radiance, found.light)[0]
 
     every, direct_only = compared(1, 2048), compared(0, 64)
