@@ -11,13 +11,13 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import App, CycloptsError, Parameter, UnknownCommandError, UnusedCliTokensError
 
 from glhybrid import __version__, cli_bench, cli_common, cli_frames, cli_view, console
 from glhybrid.cli_common import Common, SceneName
 from glhybrid.cli_frames import Frames
 from glhybrid.cli_view import View
-from glhybrid.errors import DeviceError, GlhybridError, SettingError
+from glhybrid.errors import DeviceError, GlhybridError, SettingError, unknown
 
 USAGE_ERROR, INTERRUPTED = 2, 130
 _arguments: list[str] = []  # of this run
@@ -307,6 +307,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     console.start_log(quiet="--quiet" in arguments)
     try:
         return int(app(arguments) or 0)
+    except UnknownCommandError:
+        verbs = [name for name in app if not name.startswith("-")]
+        console.error(f"{unknown('command', arguments[0], verbs)}; see glhybrid --help")
+        return USAGE_ERROR
+    except UnusedCliTokensError as error:
+        console.error(f'nothing is known to do with "{" ".join(error.unused_tokens or ())}"; see glhybrid --help')
+        return USAGE_ERROR
     except CycloptsError as error:
         console.error(f"{str(error).rstrip('.')}; see glhybrid --help")
         return USAGE_ERROR

@@ -1,6 +1,7 @@
 """Image files to texels, through Pillow. Colour profiles and orientation tags are ignored, as glTF asks."""
 
 import io
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,8 @@ def load_image(source: Path | bytes | memoryview, name: str, warn: Callable[[str
     """
     from PIL import Image as Pillow
 
+    # Pillow's word about 90 million texels is not for who named the file; sides are bounded here.
+    warnings.filterwarnings("ignore", category=Pillow.DecompressionBombWarning)
     if isinstance(source, Path) and not source.is_file():
         raise LoadError(f"{name}: there is no file {source}; put it there or correct the name")
     formats = [f for f in FORMATS if f != "AVIF" or "AVIF" in Pillow.OPEN]
@@ -38,6 +41,9 @@ def load_image(source: Path | bytes | memoryview, name: str, warn: Callable[[str
             return Image(_rgba(image), name)
     except LoadError:
         raise
+    except Pillow.DecompressionBombError:
+        most = 2 * (Pillow.MAX_IMAGE_PIXELS or 0)
+        raise LoadError(f"{name}: more than {most:,} texels, which is the limit of an image: resize it") from None
     except Exception as error:  # Pillow's plugins raise whatever a broken file makes them stumble over
         reason = str(error) or type(error).__name__
         if "cannot identify" in reason:

@@ -138,7 +138,8 @@ def test_a_picture_on_standard_output(fake: _Recorder, capfdbinary: pytest.Captu
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["rendr", "x"], 'Did you mean "render"'),
+        (["rendr", "x"], 'did you mean "render"'),
+        (["foo"], "render, scenes, settings, study, view; see glhybrid --help"),
         (["render"], "SCENE"),
         (["render", "x", "--sise", "3x3"], "--size"),
         (["render", "x", "--size", "3"], "1280x720"),
@@ -155,7 +156,7 @@ def test_a_picture_on_standard_output(fake: _Recorder, capfdbinary: pytest.Captu
         (["render", "x", "-o", "a.jpg"], ".png, .exr, .npz"),
         (["render", "x", "-o", "no/where/a.png"], "mkdir -p no/where"),
         (["render", "x", "-o", "-", "--json"], "standard output"),
-        (["render", "x", "y"], "y"),
+        (["render", "x", "y"], 'do with "y"'),
         (["render", "x", "-o", ""], "no suffix"),
         (["render", "x", "-o", "a" * 300 + ".png"], "at most 230 bytes"),
         (["render", "x", "--frames", "0:2", "-o", "{frame}" + "a" * 300 + ".png"], "at most 230 bytes"),

@@ -1,6 +1,8 @@
 """Images to (H, W, 4) bytes: every kind of pixel, and files that are none."""
 
 import io
+import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -102,6 +104,20 @@ def test_not_an_image(tmp_path: Path) -> None:
 def test_too_large() -> None:
     with pytest.raises(LoadError, match="16385 x 1 texels; both sides must be 1 to 16384"):
         load_image(encoded(np.zeros((1, 16385), np.uint8)), "x")
+    with pytest.raises(LoadError, match=r"^x: more than [\d,]+ texels, which is the limit of an image: resize it$"):
+        load_image(claiming(16000, 16000), "x")
+
+
+def claiming(width: int, height: int) -> bytes:
+    """A PNG whose header tells that size."""
+    head = b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + head + struct.pack(">I", zlib.crc32(head))
+
+
+def test_large_ones_need_no_word() -> None:
+    """Pillow warns of a hundred million texels, which some maps have; here that would be an error."""
+    with pytest.raises(LoadError, match="cannot be decoded"):  # cut short
+        load_image(claiming(10000, 10000), "x")
 
 
 def test_no_helper_programs_are_run() -> None:
