@@ -111,7 +111,8 @@ def test_too_large() -> None:
 def claiming(width: int, height: int) -> bytes:
     """A PNG whose header tells that size."""
     head = b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + head + struct.pack(">I", zlib.crc32(head))
+    data = struct.pack(">I", zlib.crc32(head)) + struct.pack(">I", 9) + b"IDAT" + bytes(9)
+    return b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + head + data
 
 
 def test_large_ones_need_no_word() -> None:
