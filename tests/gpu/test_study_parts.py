@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +14,7 @@ import glhybrid as gh
 from glhybrid.load.builtin import scene_path
 from glhybrid.scene import Environment
 from glhybrid.settings import Settings
-from glhybrid.study import beside, curves, paper, picture, reflected, run, stages
+from glhybrid.study import beside, curves, jobs, paper, picture, reflected, run, stages
 from glhybrid.study.measure import Clock
 from glhybrid.study.peers import bundle, glb, panel
 from glhybrid.study.progress import Meter
@@ -70,16 +71,26 @@ def test_what_has_gone_leaves_no_trace_without_a_memory(renderer: gh.Renderer) -
 def test_what_is_not_timed_is_made_beside(
     context: "Context", renderer: gh.Renderer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Cases and curves made in other processes are found here, and are those that are made here. Of a process that ends,
-    the rest is made by others."""
+    """Cases and curves made in other processes are found here, and are those that are made here. What cannot be made is
+    said; of a process that ends, the rest is made by others."""
     if os.environ.get("GLHYBRID_TEST_FORMS"):
         pytest.skip("the forms of this context are not those of other processes")
-    cases, told = ["terminator", "lattice-rays", "none such", "ao-leak"], list[int]()
-    jobs = [(beside.FAILURES, name) for name in cases] + [(beside.STABILITY, "thickness")]
+    cases, told = ["terminator", "lattice-rays", "none such", "ao-leak"], []
     device = "software" if context.device.software else "auto"
-    with beside.making(device, tmp_path / "beside", True, jobs, 2) as wait:
-        wait(told.append)
-    assert told[-1] == 4 and not list((tmp_path / "beside").rglob("none such*"))
+    crew = beside.Crew(beside.Home(device, tmp_path / "beside", True), 2)
+    with closing(crew):
+        made_of = {name: crew.put(jobs.Failure(name)) for name in cases} | {
+            "thickness": crew.put(jobs.Curve("thickness"))
+        }
+        crew.wait(lambda: told.append(1))
+        assert all(future.done() for future in made_of.values()) and told
+        assert [name for name, future in made_of.items() if future.exception()] == ["none such"]
+        crew._running[0].kill()
+        crew._running[0].wait()
+        late = [crew.put(jobs.Failure("terminator")) for _ in range(2)]
+        crew.wait(lambda: None)
+        assert sum(future.exception() is None for future in late) >= 1 and all(future.done() for future in late)
+    assert not list((tmp_path / "beside").rglob("none such*"))
 
     def made(folder: Path) -> list[dict[str, Any]]:
         names = [name for name in cases if name != "none such"]
@@ -97,10 +108,11 @@ def test_what_is_not_timed_is_made_beside(
 def test_processes_that_stand_still_are_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(beside, "COMMAND", "import time; time.sleep(100)")
     monkeypatch.setattr(beside, "STALL_S", 1.0)
-    told = list[int]()
-    with beside.making("software", tmp_path, True, [(beside.FAILURES, "acne")], 2) as wait:
-        wait(told.append)
-    assert set(told) == {0}
+    with closing(beside.Crew(beside.Home("software", tmp_path, True), 2)) as crew:
+        one = crew.put(jobs.Failure("acne"))
+        crew.wait(lambda: None, one)
+        crew.wait(lambda: None)
+        assert not one.done()
 
 
 def test_the_ladder_shows_the_papers_bias(
