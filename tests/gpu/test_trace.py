@@ -47,6 +47,12 @@ def _soup(models: Path) -> Scene:
     return scene_of(ray.soup(rng.uniform(-1, 1, (3000, 1, 3)) + size * shape))
 
 
+def _thicket(models: Path) -> Scene:
+    """Triangles as large as all of it: a ray meets nearly every box, and its stack is as deep as the trees are."""
+    corners = np.random.default_rng(3).uniform(-1, 1, (4800, 3, 3))
+    return scene_of(*(ray.soup(part) for part in np.split(corners, 12)))
+
+
 def _lattice(models: Path) -> Scene:
     """Boxes that share walls and stand on integers: every axis-parallel ray meets edges, corners or whole walls."""
     boxes = [box(size=(2, 1, 1)), box(size=(1, 1, 1)), box(size=(1, 2, 1)), piece(*ray.drum(8))]
@@ -73,6 +79,8 @@ def _bodies(models: Path) -> Scene:
 
 SCENES: dict[str, tuple[Callable[[Path], Scene], int, int]] = {  # scene, levels, rays of each kind in a full run
     "soup": (_soup, 1, 40_000),
+    "thicket": (_thicket, 1, 40_000),
+    "thicket two-level": (_thicket, 2, 40_000),
     "lattice": (_lattice, 1, 40_000),
     "lattice two-level": (_lattice, 2, 40_000),
     "bodies": (_bodies, 1, 40_000),
