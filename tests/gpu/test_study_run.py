@@ -156,6 +156,7 @@ def test_a_stopped_study_goes_on(
 ) -> None:
     """Stopped in its third cell: the first two are kept, and nothing is half-written; also where pictures are compared
     by processes, which may not be done with them."""
+    monkeypatch.setattr(scene_study, "PATIENCE_S", 100.0)  # however busy the machine is
     monkeypatch.setattr(SceneStudy, "_processes", processes)
     real, calls = measure.time_frames, []
 
