@@ -1,11 +1,10 @@
-"""Finds shaders, expands includes, specialises by features, compiles, caches, and binds resources by name.
+"""Compiles shaders for the features that their text names, keeps the programs, and binds resources by name.
 
 A program is keyed by its path and by the features that its text names; a feature nobody names is not part of the key,
 so equal programs are shared. Binding numbers are counted here and nowhere else.
 """
 
 import os
-import re
 import struct
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -16,7 +15,6 @@ from typing import Any
 
 import moderngl
 
-from glhybrid import layout
 from glhybrid.compile_aside import CompileAside
 from glhybrid.context import TEXTURES, Context
 from glhybrid.errors import GeometryError, ShaderError
@@ -24,12 +22,11 @@ from glhybrid.gl import GL_COMPUTE_SHADER, GL_FRAGMENT_SHADER, GL_VERTEX_SHADER,
 from glhybrid.load.builtin import data_folder
 from glhybrid.needs import Features
 from glhybrid.pace import Bands, Pace, spread_rows
+from glhybrid.shader_source import Source
 from glhybrid.timing import Progress
 
 Resource = moderngl.Texture | moderngl.TextureArray | moderngl.Buffer | BufferTexture | int | float | tuple[float, ...]
 
-_INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$', re.MULTILINE)
-_WORD = re.compile(r"\b[A-Z][A-Z0-9_]+\b")
 BUFFERS = (  # as in lib/buffers.glsl
     "attributes", "tangents", "textures", "texture_levels", "lights", "materials", "instances", "nodes", "slots",
     "triangles", "vertices",
@@ -40,68 +37,8 @@ _OPTIONAL = {  # those that not every scene has
     "attributes": "USE_EXTRA_ATTRIBUTES", "tangents": "USE_TANGENTS", "textures": "USE_TEXTURES",
     "texture_levels": "USE_TEXTURES",
 }  # fmt: skip
-_VERSION = "#version 430 core\n"
 _IMAGE_TYPES = range(0x904C, 0x906D)  # GL_IMAGE_1D .. GL_UNSIGNED_INT_IMAGE_2D_MULTISAMPLE_ARRAY
 _SAMPLER_TYPES = {0x8B5E, 0x8DC1, 0x8DD2, 0x8DD7, 0x8DD0, 0x8DD8, 0x8DC2, 0x8B60, 0x8DCA}
-
-
-class Source:
-    """One shader after includes: text with #line directives, and the files that the numbers in them mean."""
-
-    def __init__(self, folders: tuple[Path, ...], path: str) -> None:
-        self.path = path
-        self.files: list[str] = []
-        self.text = self._expand(folders, path)
-        self._words = frozenset(_WORD.findall(self.text))
-
-    def _expand(self, folders: tuple[Path, ...], path: str) -> str:
-        index = len(self.files)
-        self.files.append(path)
-        if path == "layout.glsl":
-            text = layout.glsl_header()
-        elif path == "tables.glsl":
-            text = layout.glsl_readers()
-        else:
-            file = next((f / path for f in folders if (f / path).is_file()), folders[0] / path)
-            if not file.is_file():
-                raise ShaderError(f'{file}: shader not found; reinstall glhybrid or check the include "{path}"')
-            text = file.read_text(encoding="utf-8")
-        lines = [f"#line 1 {index}"]
-        for number, line in enumerate(text.splitlines(), start=1):
-            match = _INCLUDE.match(line)
-            if match is None:
-                lines.append(line)
-                continue
-            if match.group(1) not in self.files:  # each file once
-                lines.append(self._expand(folders, match.group(1)))
-            lines.append(f"#line {number + 1} {index}")
-        return "\n".join(lines)
-
-    def specialise(self, features: Features) -> tuple[str, dict[str, int]]:
-        """Full text, and the features it names."""
-        words = self._words
-        known = features.defines()
-        if missing := sorted(w for w in words if w.startswith("USE_") and w not in known):
-            raise ShaderError(f"glsl/{self.path}: {missing[0]} is not a field of Features in glhybrid/needs.py")
-        named: dict[str, int] = {}
-        for name, value in known.items():
-            constant = name.removeprefix("USE_")
-            if name in words or (name.startswith("USE_") and constant in words):
-                named[name] = value
-        head = [f"#define {name} {value}" for name, value in named.items()]
-        head += [f"const bool {n[4:]} = bool({n});" for n in named if n.startswith("USE_") and n != "USE_AOV"]
-        return _VERSION + "\n".join(head) + "\n" + self.text, named
-
-    def readable(self, log: str) -> str:
-        """Mesa's `S:L(C):` and NVIDIA's `S(L) :` as `glsl/FILE:LINE:`."""
-
-        def place(match: re.Match[str]) -> str:
-            number = int(match.group(1))
-            name = self.files[number] if number < len(self.files) else self.path
-            return f"glsl/{name}:{match.group(2)}:"
-
-        log = re.sub(r"\b(\d+):(\d+)\(\d+\):", place, log)
-        return re.sub(r"\b(\d+)\((\d+)\) :", place, log)
 
 
 class Program:

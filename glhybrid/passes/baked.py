@@ -20,7 +20,7 @@ import numpy as np
 from glhybrid import content_cache, layout, lightmap
 from glhybrid.bake import Bake
 from glhybrid.gl import BufferTexture
-from glhybrid.gpu_scene import light_rows
+from glhybrid.gpu_rows import light_rows
 from glhybrid.lightmap import Limits
 from glhybrid.owned import Owned
 from glhybrid.setup import Setup

@@ -1,0 +1,71 @@
+"""A shader as text: includes expanded, specialised by features; what compilers say of it, by file and line."""
+
+import re
+from pathlib import Path
+
+from glhybrid import layout
+from glhybrid.errors import ShaderError
+from glhybrid.needs import Features
+
+_INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$', re.MULTILINE)
+_WORD = re.compile(r"\b[A-Z][A-Z0-9_]+\b")
+_VERSION = "#version 430 core\n"
+
+
+class Source:
+    """One shader after includes: text with #line directives, and the files that the numbers in them mean."""
+
+    def __init__(self, folders: tuple[Path, ...], path: str) -> None:
+        self.path = path
+        self.files: list[str] = []
+        self.text = self._expand(folders, path)
+        self._words = frozenset(_WORD.findall(self.text))
+
+    def _expand(self, folders: tuple[Path, ...], path: str) -> str:
+        index = len(self.files)
+        self.files.append(path)
+        if path == "layout.glsl":
+            text = layout.glsl_header()
+        elif path == "tables.glsl":
+            text = layout.glsl_readers()
+        else:
+            file = next((f / path for f in folders if (f / path).is_file()), folders[0] / path)
+            if not file.is_file():
+                raise ShaderError(f'{file}: shader not found; reinstall glhybrid or check the include "{path}"')
+            text = file.read_text(encoding="utf-8")
+        lines = [f"#line 1 {index}"]
+        for number, line in enumerate(text.splitlines(), start=1):
+            match = _INCLUDE.match(line)
+            if match is None:
+                lines.append(line)
+                continue
+            if match.group(1) not in self.files:  # each file once
+                lines.append(self._expand(folders, match.group(1)))
+            lines.append(f"#line {number + 1} {index}")
+        return "\n".join(lines)
+
+    def specialise(self, features: Features) -> tuple[str, dict[str, int]]:
+        """Full text, and the features it names."""
+        words = self._words
+        known = features.defines()
+        if missing := sorted(w for w in words if w.startswith("USE_") and w not in known):
+            raise ShaderError(f"glsl/{self.path}: {missing[0]} is not a field of Features in glhybrid/needs.py")
+        named: dict[str, int] = {}
+        for name, value in known.items():
+            constant = name.removeprefix("USE_")
+            if name in words or (name.startswith("USE_") and constant in words):
+                named[name] = value
+        head = [f"#define {name} {value}" for name, value in named.items()]
+        head += [f"const bool {n[4:]} = bool({n});" for n in named if n.startswith("USE_") and n != "USE_AOV"]
+        return _VERSION + "\n".join(head) + "\n" + self.text, named
+
+    def readable(self, log: str) -> str:
+        """Mesa's `S:L(C):` and NVIDIA's `S(L) :` as `glsl/FILE:LINE:`."""
+
+        def place(match: re.Match[str]) -> str:
+            number = int(match.group(1))
+            name = self.files[number] if number < len(self.files) else self.path
+            return f"glsl/{name}:{match.group(2)}:"
+
+        log = re.sub(r"\b(\d+):(\d+)\(\d+\):", place, log)
+        return re.sub(r"\b(\d+)\((\d+)\) :", place, log)
