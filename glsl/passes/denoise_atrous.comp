@@ -42,6 +42,19 @@ const float LEAST_SHARE = 0.125;         // of what a lobe covers of a surface f
 const float LEAST_WEIGHT = 0.1;          // of one in a penumbra, taken from all: much of little would light what is dark
 const float DEVIATIONS = 6.0;            // of one pixel's own mean: only what no chance explains
 
+#if USE_DENOISE_SIGNAL == 3
+const float TAIL = 0.02;
+
+// A blur reaches beyond the ends of a penumbra, and a hundredth of a light is seen where there is no other. What none of a
+// pixel's own rays has met, of light or of shadow, counts as none up to TAIL, and whole from twice that on.
+vec3 without_tails(vec3 share, vec3 own, float rays) {
+    vec3 less = min(share, max(2.0 * (share - TAIL), vec3(0.0))), dark = 1.0 - share;
+    vec3 more = 1.0 - min(dark, max(2.0 * (dark - TAIL), vec3(0.0)));
+    share = mix(share, less, lessThan(own * rays, vec3(0.5)));
+    return mix(share, more, lessThan((1.0 - own) * rays, vec3(0.5)));
+}
+#endif
+
 void main() {
     ivec2 px = tile_pixel();
     if (any(greaterThanEqual(px, frame.size_px))) return;                  // groups overhang the edge
@@ -97,6 +110,9 @@ void main() {
     }
 #if USE_DENOISE_LAST
     vec4 raw = imageLoad(out_signal, AT(px));
+#if USE_DENOISE_SIGNAL == 3
+    result.rgb = without_tails(result.rgb, texelFetch(history, AT(px), 0).rgb, texelFetch(counts, AT(px), 0).x);
+#endif
     if (center.a >= 0.0) imageStore(out_signal, AT(px), vec4(result.rgb, raw.a));
 #else
     imageStore(out_filtered, px, result);
