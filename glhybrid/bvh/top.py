@@ -202,6 +202,7 @@ class MovingTop:
 
     @property
     def sah_cost(self) -> float:
+        """Of the tree as it is now, in the terms of Tlas.sah_cost."""
         return float(self._total[1])
 
     def refit(self, boxes: F64, moved: np.ndarray | None = None) -> np.ndarray | None:
