@@ -119,7 +119,7 @@ class Crew:
             wait(waiting, LOOK_S)
 
     def close(self) -> None:
-        """Ends them all. Twice is harmless."""
+        """Ends them all."""
         for popen in self._running:
             popen.kill()
         for _ in self._threads:

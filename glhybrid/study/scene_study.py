@@ -35,6 +35,7 @@ from glhybrid.study.sweep import PAIRS, Cell
 REFERENCE_CELLS = 8  # what a reference counts for in the progress
 ONCE = ""  # stands for what is made once a scene, beside keys of cells
 PATIENCE_S = 8.0  # that a user who has pressed Ctrl-C is kept for
+STAGINGS = 2  # kept ready: the scene's, and its mirrors'
 SMALLEST = 16  # pixels: FLIP and the windows of SSIM want a neighbourhood
 
 
@@ -134,10 +135,7 @@ class SceneStudy:
         frame.save(self.folder / "reference.exr", aov=())
         self._describe()
         try:
-            with (
-                self.study.timed(f"{self.name}: techniques"),
-                self.renderer.keeping(2),
-            ):  # the scene's, and its mirrors'
+            with self.study.timed(f"{self.name}: techniques"), self.renderer.keeping(STAGINGS):
                 self._cells()
         except KeyboardInterrupt:
             self._give_up()
