@@ -94,6 +94,7 @@ def warm_up(context: Context, work: Work, seconds: float = WARM_UP_S) -> float:
         context.gl.finish()
         now = time.perf_counter()
         if context.device.software or now >= until:
+            _worked[context] = now
             return (now - started) / launches
         if now - started < QUEUED_S / 2:
             launches *= 2

@@ -1,7 +1,8 @@
 """One cell: its picture, its time and its figures."""
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from glhybrid import outputs
-from glhybrid.bench.clock import pass_clock, unpaced
+from glhybrid.bench.clock import pass_clock, unpaced, warm_up
 from glhybrid.bench.frames import steady_frame
 from glhybrid.bvh.blas import threads_available
 from glhybrid.image import Frame
@@ -24,6 +25,7 @@ from glhybrid.timing import Timing
 
 AOVS = ("visibility",)
 LONG_MS = 50.0  # of a frame whose passes a few looks tell
+WARM_UP_S = 0.3  # an H100 needs 0.29 s to reach its clock; more follows when it is timed
 REST = 17  # frames at rest: 16 of history
 NOT_TRACED = {"skin", "refit", "gbuffer", "composite", "display"}  # passes that every technique has in common
 
@@ -57,19 +59,25 @@ class Times:
 
 
 def time_frames(
-    renderer: Renderer, scene: Scene, camera: Camera, size: tuple[int, int], settings: Settings, clock: Clock
-) -> Times:
-    """Frames of a scene at rest, as a viewer would draw them. What is timed has been drawn before."""
+    renderer: Renderer, scene: Scene, camera: Camera, size: tuple[int, int], settings: Settings, clock: Clock,
+    alone: Callable[[], AbstractContextManager[None]] = nullcontext,
+) -> Times:  # fmt: skip
+    """Frames of a scene at rest, as a viewer would draw them. What is timed has been drawn before. alone: within it
+    nobody else uses the device."""
     context, threads = renderer.context, threads_available()
     frame, off = steady_frame(renderer, scene, size, settings, camera), Timing(context.gl.finish, enabled=False)
     batch = 1 if context.device.software else 8  # a pause after every frame lets a GPU's clock fall
-    sample = unpaced(context, lambda: frame(off), clock.frames, clock.seconds, batch, clock.most_s)
-    frame_ms, passes = sample.median("wall"), pass_clock(context)
-    for _ in range(3 if context.device.software or frame_ms > LONG_MS else 10):  # the first does not count
-        frame(passes)
+    if not context.device.software:
+        warm_up(context, lambda: frame(off), WARM_UP_S)  # others may still be at work: its clock rises all the same
+    with alone():
+        sample = unpaced(context, lambda: frame(off), clock.frames, clock.seconds, batch, clock.most_s)
+        frame_ms, passes = sample.median("wall"), pass_clock(context)
+        for _ in range(3 if context.device.software or frame_ms > LONG_MS else 10):  # the first does not count
+            frame(passes)
+        medians = passes.medians()
     frames = len(sample.wall) * sample.batch
     cpu_ms, spread, cpu_spread = sample.median("cpu") / threads, sample.spread("wall") / 2, sample.spread("cpu") / 2
-    return Times(frame_ms, cpu_ms, spread, cpu_spread, frames, passes.medians())
+    return Times(frame_ms, cpu_ms, spread, cpu_spread, frames, medians)
 
 
 def draw(renderer: Renderer, scene: Scene, camera: Camera, size: tuple[int, int], settings: Settings) -> Frame:

@@ -289,8 +289,8 @@ class SceneStudy:
             ):
                 at_rest = radiance
         errors = self._comparing.submit(frame, self.folder, stem, at_rest)
-        with self._crew.paused() if self._crew is not None else nullcontext():
-            times = measure.time_frames(*args, settings, self.spent.clock)
+        alone = self._crew.paused if self._crew is not None else nullcontext
+        times = measure.time_frames(*args, settings, self.spent.clock, alone)
         width, height = self.spent.size
         moving = None
         if not cell.parameters:

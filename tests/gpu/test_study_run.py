@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -340,7 +340,7 @@ def test_a_crew_makes_programs_and_what_is_not_timed(
         opened.append(gh.Renderer(device=device, keep_programs=True))
         return opened[-1]
 
-    real_measure, real_times, compiled, states = SceneStudy._measure, measure.time_frames, [], []
+    real_measure, real_times, compiled, states = SceneStudy._measure, measure.unpaced, [], []
 
     def counting(self: SceneStudy, cell: Cell, *rest: object) -> object:
         programs = opened[0].context.programs
@@ -350,9 +350,9 @@ def test_a_crew_makes_programs_and_what_is_not_timed(
         compiled.append((cell.label, programs.compiled - before))
         return row
 
-    def timing(*args: object) -> measure.Times:
+    def timing(*args: Any) -> object:
         states.append(all(_state(popen.pid) == "T" for popen in crews[0]._running))
-        return real_times(*args)  # type: ignore[arg-type]
+        return real_times(*args)
 
     monkeypatch.setattr(run, "_beside", beside)
     monkeypatch.setattr(run, "Renderer", keeping)
@@ -360,7 +360,7 @@ def test_a_crew_makes_programs_and_what_is_not_timed(
     monkeypatch.setattr(run.library, "cases", lambda: ["terminator"])
     monkeypatch.setattr(run.library, "run", lambda *_, **__: pytest.fail("was made beside"))
     monkeypatch.setattr(SceneStudy, "_measure", counting)
-    monkeypatch.setattr(measure, "time_frames", timing)
+    monkeypatch.setattr(measure, "unpaced", timing)
     monkeypatch.setenv("GLHYBRID_CACHE", str(tmp_path / "cache"))
     study = run.run(
         ("stage",), tmp_path / "out", quick=True, sizes=(SIZE,), samples=8, only=("ray", "map", "ray-lerp"),
