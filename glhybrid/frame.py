@@ -97,6 +97,9 @@ class Passes:
         indirect: dict[str, Any] = {}
         if denoise is not None:
             timed(denoise.name, lambda: denoise.begin(targets, ids))
+        if isinstance(reflect, ReflectSparse):
+            sparse = reflect
+            timed(reflect.name, lambda: sparse.begin(targets, ids))
         if shadow is not None and visibility is None:
             choose, wait = self._constants.choose_lights, {}
             if (
@@ -104,7 +107,7 @@ class Passes:
                 and isinstance(reflect, Reflect | ReflectSparse)
                 and not (denoise or occlusion)
             ):
-                wait = {"wait": False}  # a GPU begins with the mirror rays while the last of these are on their way
+                wait = {"wait": False}  # a GPU begins with mirror rays, or their shadows, while the last are on their way
             visibility = timed(shadow.name, lambda: shadow.run(targets, ids, choose, **wait))
             if denoise is not None:
                 timed(denoise.name, lambda: denoise.visibility(targets, visibility))
@@ -116,6 +119,8 @@ class Passes:
             indirect |= timed(reflect.name, lambda: reflect.run(targets, ids, visibility, screen))
         elif isinstance(reflect, Reflect):
             indirect |= timed(reflect.name, lambda: reflect.run(targets, ids, shade))
+        elif isinstance(reflect, ReflectSparse):
+            indirect |= timed(reflect.name, reflect.finish)
         elif reflect is not None:
             indirect |= timed(reflect.name, lambda: reflect.run(targets, ids))
         if denoise is not None:

@@ -92,7 +92,7 @@ def make(
     if features.reflect_grid:
         reasons.append(_shared(features, settings))
     joined = kernels in ("auto", "joined") and _joins(features, settings, len(scene.lights))
-    joined = joined and (kernels == "joined" or not (features.two_level or features.spheres))
+    joined = joined and (kernels == "joined" or not (features.two_level or features.spheres or features.reflect_grid))
     features = features.replace(encodes=kernels in ("auto", "joined"))
     if features.probes:
         named = len(scene.probes)

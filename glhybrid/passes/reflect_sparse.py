@@ -26,8 +26,8 @@ class ReflectSparse:
         shaders, features, split = setup.shaders, setup.features, setup.plan.split
         self._gl, self._scene, self._features = setup.context.gl, setup.scene, features
         stems = programs(features, split)
-        self._guide = [shaders.compute("reflect_guide", features)] * split
         self._grid = [shaders.compute(stem, features) for stem in stems]
+        self._guide = shaders.compute("reflect_guide", features) if split else None
         self._resolve = shaders.compute("reflect_resolve", features)
         # Its shadow rays apart, too: in the program of the mirror rays they take an H100 up to 1.7 times as long.
         self._rest = [shaders.compute(stem, features.replace(pixel_list=True)) for stem in stems]
@@ -35,9 +35,11 @@ class ReflectSparse:
         self._contrast = setup.settings.parameter("reflections.ray-lerp.contrast")
         self._count = self._gl.buffer(reserve=16)
         self._list: moderngl.Buffer | None = None
+        self._given: dict[str, Any] = {}
 
-    def run(self, targets: Targets, ids: Any) -> dict[str, Any]:
-        """Returns `reflection` of layout.py, by its channel."""
+    def begin(self, targets: Targets, ids: Any) -> None:
+        """All up to the rays of the list, which are few and take as long as the longest of them: a GPU has room for
+        what else the frame has to do before finish(), if it does not look at reflections."""
         width, height = targets.size
         if self._list is None or self._list.size != 4 * width * height:
             self._release_list()
@@ -52,13 +54,22 @@ class ReflectSparse:
         given |= {name: targets.get(name) for name in self._images}
         if self._features.reason:
             given["out_reason"] = targets.get("reason")
-        for program in self._guide:
-            program.dispatch(given, cells, wait=False)  # while the rays are on their way
-        for program in (*self._grid, self._resolve):
+        self._grid[0].dispatch(given, cells)
+        if self._guide is not None:
+            self._grid[1].dispatch(given, cells, wait=False)
+            self._guide.dispatch(given, cells)  # while the last of those are on their way
+        for program in (*self._grid[2:], self._resolve):
             program.dispatch(given, cells)
-        for program in self._rest:
+        self._rest[0].dispatch_indirect(given, self._count, wait=False)
+        self._given = given
+
+    def finish(self) -> dict[str, Any]:
+        """The rest of it. Returns `reflection` of layout.py, by its channel."""
+        given, self._given = self._given, {}
+        self._gl.memory_barrier()
+        for program in self._rest[1:]:
             program.dispatch_indirect(given, self._count)
-        return {"reflection": reflection}
+        return {"reflection": given["out_reflection"]}
 
     def _release_list(self) -> None:
         if self._list is not None:
