@@ -107,7 +107,7 @@ class Passes:
                 and isinstance(reflect, Reflect | ReflectSparse)
                 and not (denoise or occlusion)
             ):
-                wait = {"wait": False}  # a GPU begins with mirror rays, or their shadows, while the last are on their way
+                wait = {"wait": False}  # a GPU goes on with mirror rays while the last of these are on their way
             visibility = timed(shadow.name, lambda: shadow.run(targets, ids, choose, **wait))
             if denoise is not None:
                 timed(denoise.name, lambda: denoise.visibility(targets, visibility))

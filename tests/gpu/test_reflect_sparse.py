@@ -11,6 +11,7 @@ from rays import moved, scene_of
 import glhybrid as gh
 from glhybrid.load.shapes import box, torus
 from glhybrid.scene import Camera, Environment, Image, Light, Material, Scene, Sphere, Texture
+from glhybrid.shaders import Program
 
 if TYPE_CHECKING:
     from glhybrid.context import Context
@@ -200,3 +201,30 @@ def test_another_size_after_the_first(renderer: gh.Renderer) -> None:
     for size in (SIZE, (90, 70), (33, 20)):
         sparse, each = render(renderer, made, "half", 0.0, size), render(renderer, made, size=size)
         assert same(renderer, sparse["radiance"], each["radiance"])
+
+
+@pytest.mark.parametrize("grid", GRIDS)
+def test_rays_of_the_list_go_beside_the_shadow_rays(
+    context: "Context", grid: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In parts: what few rays leave idle is there for what the frame has to do anyway, and nobody reads them before."""
+    ran: list[tuple[str, bool]] = []
+    for way in ("dispatch", "dispatch_indirect"):
+        run = getattr(Program, way)
+
+        def noted(self: Program, *given: Any, run: Any = run, wait: bool = True, **more: Any) -> None:
+            ran.append((self.name.split(" ")[0] + "+" * ("PIXEL_LIST" in self.name), wait))
+            run(self, *given, wait=wait, **more)
+
+        monkeypatch.setattr(Program, way, noted)
+    with gh.Renderer(context=context) as fresh:
+        parameters = {"reflections.ray-lerp.resolution": grid}
+        settings = gh.Settings(aa=1, exposure=0.0, primary="trace", kernels="split", parameters=parameters)
+        fresh.render(scene(), LOOKS["perspective"], SIZE, settings)
+    names, waits = [name for name, _ in ran], dict(ran)
+    begin = names.index("gbuffer")
+    assert names[begin : names.index("composite") + 1] == [
+        "gbuffer", "reflect_ray", "reflect_shadow", "reflect_guide", "reflect_shade", "reflect_resolve",
+        "reflect_ray+", "shadow", "reflect_shadow+", "reflect_shade+", "composite",
+    ]  # fmt: skip
+    assert [name for name in names[begin:] if not waits[name]] == ["reflect_shadow", "reflect_ray+", "shadow"]
