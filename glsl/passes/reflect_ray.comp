@@ -30,7 +30,8 @@ void main() {
             if (hit.triangle == ID_NONE && !bent) reason = REASON_ENVIRONMENT;
         }
     }
-    if (covered(p)) store_mirror(px, ray.dir, hit);                        // else nobody looks
+    // Nobody looks where nothing is seen. To know that after the traversal takes a register, which two levels do not have.
+    if (TWO_LEVEL || covered(p)) store_mirror(px, ray.dir, hit);
 #if USE_MIRROR_SHADOWS
     if (hit.triangle != ID_NONE) imageStore(mirror_lit, px, uvec4(lit_bits(hit, ray)));
 #endif
