@@ -7,14 +7,12 @@ load what is kept in place of compiling. A driver that takes a binary no more sa
 
 import ctypes
 import os
-import signal
-import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from ctypes import CFUNCTYPE, POINTER, byref, c_int, c_uint, c_void_p, create_string_buffer
 from typing import TYPE_CHECKING, Any
 
-from glhybrid import content_cache
+from glhybrid import content_cache, interrupts
 from glhybrid.gl import (
     GL,
     GL_COMPILE_STATUS,
@@ -78,7 +76,7 @@ class ProgramCache:
         self._key = content_cache.key(self._driver.encode(), *parts) if self.kept else None
         self._binary = content_cache.read(KIND, self._key) if self._key else None
         try:
-            with _uninterrupted():
+            with interrupts.deferred():
                 yield self._binary is not None
         finally:
             self._key, self._binary = None, None
@@ -123,19 +121,3 @@ class ProgramCache:
         self._raw.glGetProgramBinary(program, length, byref(got), byref(format_), data)
         if got.value > 0 and not self._raw.errors():
             content_cache.write(KIND, key, format_.value.to_bytes(4, "little") + data.raw[: got.value])
-
-
-@contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """An interrupt is heard at the end: what is raised in a function that C calls would be lost there."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    heard: list[int] = []
-    before = signal.signal(signal.SIGINT, lambda number, _: heard.append(number))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler if before is None else before)
-        if heard:
-            signal.raise_signal(signal.SIGINT)

@@ -23,6 +23,7 @@ from queue import PriorityQueue
 from threading import Thread
 from typing import Protocol
 
+from glhybrid import interrupts
 from glhybrid.errors import GlhybridError
 from glhybrid.renderer import Renderer
 from glhybrid.study import helper
@@ -63,12 +64,12 @@ class Crew:
         self._left = processes
         self._folder = tempfile.TemporaryDirectory(prefix="glhybrid-study-")
         try:
-            for _ in range(processes):  # no lock of the driver's own cache may be held by one that stands still
-                popen = helper.start(COMMAND, nice=10, __GL_SHADER_DISK_CACHE="0")
-                self._running.append(popen)
-                self._threads.append(Thread(target=self._feed, args=(popen,), daemon=True))
-            for thread in self._threads:
-                thread.start()
+            with interrupts.deferred():
+                for _ in range(processes):  # no lock of the driver's own cache may be held by one that stands still
+                    self._running.append(helper.start(COMMAND, nice=10, __GL_SHADER_DISK_CACHE="0"))
+                self._threads += [Thread(target=self._feed, args=(popen,), daemon=True) for popen in self._running]
+                for thread in self._threads:
+                    thread.start()
         except BaseException:
             self.close()
             raise

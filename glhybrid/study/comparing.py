@@ -10,6 +10,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
+from glhybrid import interrupts
 from glhybrid.bvh.blas import threads_available
 from glhybrid.errors import GlhybridError
 from glhybrid.image import Frame
@@ -45,9 +46,10 @@ class Comparing:
         self._here = ThreadPoolExecutor(HERE) if processes else None
         self._folders: set[Path] = set()
         try:
-            for _ in range(processes):
-                self._all.append(_Process(truth))
-                self._free.put(self._all[-1])
+            with interrupts.deferred():
+                self._all += [_Process(truth) for _ in range(processes)]
+            for process in self._all:
+                self._free.put(process)
         except BaseException:
             self.close()
             raise
