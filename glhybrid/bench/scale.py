@@ -302,7 +302,7 @@ def chart(result: Scaling) -> str:
     parts = []
     for k, curve in enumerate(c for c in result.curves if len(c.points) > 1):
         x = [float(p.value) for p in curve.points]
-        names = list(curve.points[0].passes)
+        names = list(dict.fromkeys(name for p in curve.points for name in p.passes))  # a plan may change on the way
         rows = {"frame": [p.frame_ms for p in curve.points]}
         rows |= {name: [max(p.passes.get(name, math.nan), 1e-4) for p in curve.points] for name in names}
         powers = curve.exponents

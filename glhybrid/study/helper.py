@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import IO, Any
 
 _PR_SET_PDEATHSIG = 1
-# Cores are shared out among processes. Threads of OpenMP (FLIP's) and of NumPy's BLAS that wait for each other spin: of
-# sixteen processes with sixteen threads each none gets anywhere.
+# Cores are shared out among processes: threads of OpenMP (FLIP's) and of NumPy's BLAS spin where they wait, which takes
+# the cores of the others.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
 
