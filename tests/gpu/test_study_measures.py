@@ -1,8 +1,6 @@
 """What a study measures by: its reference, direct light, flicker, times, specular share."""
 
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -15,16 +13,7 @@ from glhybrid.settings import Settings
 from glhybrid.study import direct, measure, picture, reference, stability, stages
 from glhybrid.study.measure import Clock
 
-if TYPE_CHECKING:
-    from glhybrid.context import Context
-
 pytest.importorskip("flip_evaluator", reason="a study measures with flip-evaluator")
-
-
-@pytest.fixture
-def renderer(context: "Context") -> "Iterator[gh.Renderer]":
-    with gh.Renderer(context=context) as opened:
-        yield opened
 
 
 def test_the_reference_knows_its_noise(renderer: gh.Renderer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,12 +34,6 @@ if TYPE_CHECKING:
 pytest.importorskip("flip_evaluator", reason="a study measures with flip-evaluator")
 
 
-@pytest.fixture
-def renderer(context: "Context") -> "Iterator[gh.Renderer]":
-    with gh.Renderer(context=context) as opened:
-        yield opened
-
-
 def _run(folder: Path, monkeypatch: pytest.MonkeyPatch, context: "Context", **extra: object) -> run.Study:
     monkeypatch.setenv("GLHYBRID_CACHE", str(folder / "cache"))
     monkeypatch.setattr(run, "Renderer", lambda **_: gh.Renderer(context=context))
