@@ -72,6 +72,14 @@ class Flip:
         picture = self._image((width, height), 3, np.ascontiguousarray(want, np.float32))
         return Reference(picture, exposures(scaled @ LUMINANCE), 1 / mean, MOST)
 
+    def hdr(self, got: F32, want: F32) -> F32:
+        """HDR-FLIP of every pixel, (H, W), 0 to 1, of pictures (H, W, 3) of linear light; `want` is the reference."""
+        reference = self.reference(want)
+        try:
+            return self.map(got, reference)
+        finally:
+            reference.release()
+
     def map(self, got: F32, reference: Reference) -> F32:
         """HDR-FLIP of every pixel, (H, W), 0 to 1; got: (H, W, 3) linear light.
 

@@ -12,6 +12,7 @@ import numpy as np
 from glhybrid import checks, outputs, receipt, stream
 from glhybrid.context import Context, open_context
 from glhybrid.errors import DeviceError
+from glhybrid.flip import Flip
 from glhybrid.gpu_scene import GpuScene
 from glhybrid.image import Frame, check_aovs
 from glhybrid.readback import Ring, at_once
@@ -220,12 +221,19 @@ class Renderer:
         self.shaders.replace(compiled)
         return len(compiled)
 
+    @cached_property
+    def flip(self) -> Flip:
+        """Holds pictures against each other on this device; costs nothing where it is not asked for."""
+        return Flip(self.context, self.shaders)
+
     def close(self) -> None:
         """Frees everything; what is drawn after it raises DeviceError. Twice is harmless."""
         self._closed = True
         while self.rings:
             self.rings.pop().release()
         self._drop(0)
+        if "flip" in self.__dict__:
+            self.flip.release()
         self.shaders.release()
         if self._owns_context:
             self.context.close()

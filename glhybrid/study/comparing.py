@@ -1,5 +1,5 @@
-"""Pictures are held against the truth in processes beside this one while the device makes the next: FLIP of 1920x1080
-pixels takes seconds of a core. On a software device, whose times that would disturb, here and at once.
+"""Pictures are held against the truth in processes beside this one while the device makes the next: figures and files
+of 1920x1080 pixels take a second of a core. On a software device, whose times that would disturb, here and at once.
 """
 
 import os
@@ -14,13 +14,12 @@ from glhybrid import interrupts
 from glhybrid.bvh.blas import threads_available
 from glhybrid.errors import GlhybridError
 from glhybrid.image import Frame
-from glhybrid.scene import F32
 from glhybrid.study import helper
-from glhybrid.study.measure import Truth, compared
+from glhybrid.study.measure import ErrorMaps, Truth, compared
 
 HERE = 2  # threads of this process that work with NumPy
 FREE = 2  # threads left to this process and the driver
-BYTES_A_PIXEL = 600  # of memory: 200 by FLIP, the rest by the truth and pictures
+BYTES_A_PIXEL = 400  # of memory, by the truth and pictures
 COMMAND = "from glhybrid.study.comparing import serve; serve()"
 
 
@@ -54,14 +53,15 @@ class Comparing:
             self.close()
             raise
 
-    def submit(self, frame: Frame, folder: Path, stem: str, at_rest: F32 | None = None) -> "Future[dict[str, Any]]":
+    def submit(self, frame: Frame, maps: ErrorMaps, folder: Path, stem: str) -> "Future[dict[str, Any]]":
         """`compared` of the frame, now or later."""
         if self._threads is None:
             done: Future[dict[str, Any]] = Future()
-            done.set_result(compared(frame, self._truth, folder, stem, at_rest))
+            done.set_result(compared(frame, maps, self._truth, folder, stem))
             return done
         self._folders.add(folder)
-        job = Frame(frame.rgb, {name: frame[name] for name in ("radiance", "visibility")}), folder, stem, at_rest
+        needed = Frame(frame.rgb, {name: frame[name] for name in ("radiance", "visibility")})
+        job = needed, maps, folder, stem
         return self._threads.submit(self._ask, job)
 
     def call(self, work: Callable[..., dict[str, Any]], *args: Any) -> "Future[dict[str, Any]]":
@@ -129,7 +129,7 @@ def serve() -> None:
         return
     while (job := helper.receive()) is not None:
         try:
-            answer: Any = compared(job[0], truth, *job[1:])
+            answer: Any = compared(job[0], job[1], truth, *job[2:])
         except Exception as error:
             answer = error
         if not helper.answer(answers, answer):

@@ -72,7 +72,7 @@ def glossy_error(renderer: Renderer, scene: Scene, camera: Camera, size: Size, _
 
     def measure(settings: Settings) -> float:
         got = renderer.render(scene, camera, size, settings)["radiance"]
-        return picture.weighted_mean(picture.flip_map(got, want), ids == 0) or 0.0
+        return picture.weighted_mean(renderer.flip.hdr(got, want), ids == 0) or 0.0
 
     return measure
 
@@ -92,7 +92,7 @@ def motion_error(renderer: Renderer, scene: Scene, camera: Camera, size: Size, s
         moved = [frame(settings, back) for back in reversed(range(MOTION_FRAMES))][-1]
         renderer.render(scene, camera, (16, 16), settings)
         rested = [frame(settings, 0) for _ in range(MOTION_FRAMES)][-1]
-        return float(picture.flip_map(moved, rested).mean())
+        return float(renderer.flip.hdr(moved, rested).mean())
 
     return measure
 

@@ -120,30 +120,31 @@ def film(
         yield at_once(outputs.texels(staged.frame(timing), 0, 3))
 
 
-def compared(frame: Frame, truth: Truth, folder: Path, stem: str, at_rest: F32 | None = None) -> dict[str, Any]:
-    """Errors of a picture, and the names of its images once they are written. at_rest: radiance of a later frame of the
-    same, for what temporal filters make of it."""
-    row, flip = figures(frame, truth)
-    later = None if at_rest is None else picture.flip_map(at_rest, truth.radiance)
-    row["flip_at_rest"] = None if later is None else float(later.mean())
+@dataclass(frozen=True, eq=False)
+class ErrorMaps:
+    """HDR-FLIP of a picture and of a later frame of it at rest, for what temporal filters make of it: (H, W), 0 to 1.
+    shadow: mean of its direct light alone; None where the scene has no light."""
+
+    picture: F32
+    at_rest: F32 | None = None
+    shadow: float | None = None
+
+
+def compared(frame: Frame, maps: ErrorMaps, truth: Truth, folder: Path, stem: str) -> dict[str, Any]:
+    """Errors of a picture, and the names of its images once they are written."""
+    row: dict[str, Any] = picture.compare(frame["radiance"], truth.radiance, maps.picture, truth.all_light).to_dict()
+    row["flip_reflection"] = picture.weighted_mean(maps.picture, truth.specular)
+    row |= truth.shadow_figures(frame["visibility"]) | {"flip_shadow": maps.shadow}
+    later = maps.at_rest
+    row["flip_at_rest"] = None if later is None else float(later.mean(dtype=np.float64))
     row["flip_reflection_at_rest"] = None if later is None else picture.weighted_mean(later, truth.specular)
-    return row | {"images": save_images(folder, stem, frame, flip)}
-
-
-def figures(frame: Frame, truth: Truth) -> tuple[dict[str, Any], F32]:
-    """Errors of a picture, and its FLIP map."""
-    difference, flip = picture.compare(frame["radiance"], truth.radiance, truth.all_light)
-    row: dict[str, Any] = difference.to_dict()
-    row["flip_reflection"] = picture.weighted_mean(flip, truth.specular)
-    row |= truth.shadow_figures(frame["visibility"])
-    return row, flip
+    return row | {"images": save_images(folder, stem, frame, maps.picture)}
 
 
 def shadow_figures(visibility: F32, light: Direct | None) -> dict[str, Any]:
     """Of the direct light alone, all lights together: nothing that other parts of a picture get wrong counts."""
     names = (
         "wrong_shadow_percent", "wrong_shadow_outside_percent", "wrong_shadow_inside_percent", "visibility_mae",
-        "flip_shadow",
     )  # fmt: skip
     if light is None:
         return dict.fromkeys(names)
@@ -151,12 +152,7 @@ def shadow_figures(visibility: F32, light: Direct | None) -> dict[str, Any]:
     got = visibility[..., list(light.lights)]
     bands = np.stack([metrics.edge_band(light.visibility[..., i] > 0.5) for i in range(got.shape[-1])], -1)
     wrong = metrics.wrong_shadow_percent(got, light.visibility, counted, bands)
-    flip = picture.flip_map(light.direct(visibility), light.truth())
-    lit = counted.any(-1)
-    values = (
-        wrong.all, wrong.outside, wrong.inside, metrics.visibility_mae(got, light.visibility, counted),
-        picture.weighted_mean(flip, lit.astype(np.float32)),
-    )  # fmt: skip
+    values = wrong.all, wrong.outside, wrong.inside, metrics.visibility_mae(got, light.visibility, counted)
     return dict(zip(names, values, strict=True))
 
 

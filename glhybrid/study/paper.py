@@ -141,7 +141,7 @@ def ladder(renderer: Renderer, folder: Path, quick: bool, clock: Clock, meter: M
                 "roughness": roughness, "label": way.name("reflections"),
                 "bias_percent": bias, "bias_error_percent": bias_error,
                 "rmse": float(np.sqrt((off**2).mean())) / mean,
-                "flip": picture.weighted_mean(picture.flip_map(got, truth.radiance), floor),
+                "flip": picture.weighted_mean(renderer.flip.hdr(got, truth.radiance), floor),
                 "frame_ms": times.frame_ms, "frame_cpu_ms": times.cpu_ms, "noise_flip": truth.noise_flip,
             })  # fmt: skip
         meter.part(LADDER_CELLS * (i + 1) / len(ROUGHNESS))

@@ -1,24 +1,18 @@
-"""How far a picture is from another, in linear radiance: HDR-FLIP, relative MSE, PSNR, SSIM, bias.
+"""How far a picture is from another, in linear radiance: relative MSE, PSNR, SSIM, bias, beside HDR-FLIP (flip.py).
 
-Pictures are (H, W, 3) float, row 0 at the top. FLIP is flip-evaluator's (Andersson et al. 2021, "Visualizing Errors in
-Rendered High Dynamic Range Images"): its exposures follow from the reference alone, so all techniques of a scene are
-seen under the same ones.
+Pictures are (H, W, 3) float, row 0 at the top.
 """
 
-import importlib.util
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from glhybrid.errors import GlhybridError
-
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 REL_FLOOR = 0.01  # of relMSE's denominator, in units of the reference's mean luminance squared
-MOST = 1e4  # times the mean luminance: what FLIP is given at most, so that an infinite highlight does not set exposures
 MIDDLE_GREY = 0.18
 
 
@@ -52,45 +46,22 @@ class Difference:
     to_dict = asdict
 
 
-def require_flip() -> None:
-    """Raises GlhybridError where flip-evaluator is missing."""
-    if importlib.util.find_spec("flip_evaluator") is None:
-        raise GlhybridError(
-            "a study measures with HDR-FLIP, and flip-evaluator is not installed: pip install glhybrid[study]"
-        )
-
-
-def compare(got: F32, want: F32, light: AllLight | None = None) -> tuple[Difference, F32]:
-    """The figures, and the FLIP map (H, W), 0 to 1. light: what bias is told against, where `want` leaves some out."""
+def compare(got: F32, want: F32, flip: F32, light: AllLight | None = None) -> Difference:
+    """The figures. flip: the map of the two, (H, W). light: what bias is told against, where `want` leaves some out."""
     assert got.shape == want.shape and got.ndim == 3, (got.shape, want.shape)
-    error_map = flip_map(got, want)
     a, b = got.astype(np.float64), want.astype(np.float64)
     mean = float((b @ LUMINANCE).mean())
     ya, yb = encoded(a, mean), encoded(b, mean)
     mse = float(((ya - yb) ** 2).mean())
     bias, bias_error = (light or AllLight(mean, 0.0)).bias(float((a @ LUMINANCE).mean()))
-    difference = Difference(
-        flip=float(error_map.mean()),
+    return Difference(
+        flip=float(flip.mean(dtype=np.float64)),
         rel_mse=rel_mse(a, b),
         psnr=float(-10 * np.log10(mse)) if mse > 0 else float("inf"),
         ssim=ssim(ya @ LUMINANCE, yb @ LUMINANCE),
         bias_percent=bias,
         bias_error_percent=bias_error,
     )
-    return difference, error_map
-
-
-def flip_map(got: F32, want: F32) -> F32:
-    """HDR-FLIP of every pixel, (H, W). A black reference gives no exposure: what is not black is then fully wrong."""
-    import flip_evaluator
-
-    mean = float((want.astype(np.float64) @ LUMINANCE).mean())
-    if mean <= 0:
-        return (got.max(-1) > 0).astype(np.float32)
-    # The unit of light is not FLIP's business, but its arithmetic is float32.
-    most = np.float32(MOST)
-    a, b = (np.clip(np.nan_to_num(x / np.float32(mean)), 0, most).astype(np.float32) for x in (got, want))
-    return np.asarray(flip_evaluator.evaluate(b, a, "HDR", applyMagma=False, computeMeanError=False)[0])[..., 0]
 
 
 def rel_mse(got: F64, want: F64) -> float:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from glhybrid.caches import REFERENCES_BYTES
 from glhybrid.content_cache import trim
+from glhybrid.flip import Flip
 from glhybrid.image import replacing
 from glhybrid.jit import cache_dir
 from glhybrid.renderer import Renderer
@@ -120,7 +121,7 @@ def converge(
         due = due or parts.samples >= most
         if due or time.perf_counter() - started >= budget_s:
             looking = time.perf_counter()
-            noise = parts.noise_flip()
+            noise = parts.noise_flip(renderer.flip)
             looked = time.perf_counter()
             looking_s = looked - looking
         spent = time.perf_counter() - started
@@ -188,8 +189,8 @@ class _Parts:
             self._known = self.batches, *_pictures(self.sums, self.count)
         return self._known[1:]
 
-    def noise_flip(self) -> float:
-        """Of bands of rows all over the picture, LOOK_PIXELS of it: FLIP takes seconds for two million."""
+    def noise_flip(self, flip: Flip) -> float:
+        """Of bands of rows all over the picture, LOOK_PIXELS of it: medians of two million take seconds."""
         if not self.count:
             return math.inf
         height, width = self.sums.shape[1:3]
@@ -199,7 +200,7 @@ class _Parts:
             whole, off = self.pictures()
         else:
             whole, off = _pictures(self.sums[:, rows], self.count)
-        return float(picture.flip_map(off.astype(np.float32), whole.astype(np.float32)).mean())
+        return float(flip.hdr(off.astype(np.float32), whole.astype(np.float32)).mean())
 
     def light(self, counted: Mask | None = None) -> picture.AllLight:
         """The plain mean; parts are independent, so their spread tells how sure it is."""

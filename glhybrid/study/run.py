@@ -15,7 +15,7 @@ from glhybrid.bvh.blas import threads_available
 from glhybrid.image import Frame
 from glhybrid.renderer import Renderer
 from glhybrid.scene import Scene
-from glhybrid.study import beside, curves, jobs, picture, results, scene_study, store, sweep
+from glhybrid.study import beside, curves, jobs, results, scene_study, store, sweep
 from glhybrid.study import failures as library
 from glhybrid.study import paper as papers
 from glhybrid.study.peers import panel
@@ -62,7 +62,6 @@ def run(
     those. lines: log lines instead of a bar. Raises what loading, settings, devices and writing raise, all of it before
     any work is done where that can be known.
     """
-    picture.require_flip()
     only = sweep.check_names(only)
     for size in sizes or (None,):
         scene_study.effort(quick, True, size, samples, seconds)  # refuses a size

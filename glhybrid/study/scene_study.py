@@ -25,6 +25,7 @@ from glhybrid.study.beside import Crew
 from glhybrid.study.comparing import Comparing, processes
 from glhybrid.study.develop import develop
 from glhybrid.study.jobs import Programs
+from glhybrid.study.judge import Judge
 from glhybrid.study.measure import Clock, Truth
 from glhybrid.study.peers.panel import Site
 from glhybrid.study.progress import Meter
@@ -97,6 +98,7 @@ class SceneStudy:
         self._pickled: Path | None = None  # the scene, if programs are made ahead
         self._ahead: dict[str, Future[None]] = {}  # by cell: its programs are there
         self._comparing: Comparing | None = None
+        self._judge: Judge | None = None
         self._pending: list[tuple[dict[str, Any], Future[dict[str, Any]]]] = []
 
     def size_of_work(self) -> float:
@@ -141,6 +143,8 @@ class SceneStudy:
             self._give_up()
             raise
         finally:
+            if self._judge is not None:
+                self._judge.release()
             if self._comparing is not None:
                 self._comparing.close()
 
@@ -279,16 +283,16 @@ class SceneStudy:
         for key in (ONCE, cell.key):
             if self._crew is not None and key in self._ahead:
                 self._crew.wait(lambda: self.meter.part(0.0), self._ahead[key])
-        if self._comparing is None:
+        if self._comparing is None or self._judge is None:
             truth = Truth(self.reference.radiance, self._light(), measure.specular_share(*args), self.reference.light)
-            self._comparing = Comparing(truth, self._processes)
+            self._comparing, self._judge = Comparing(truth, self._processes), Judge(self.renderer.flip, truth)
         frame, at_rest = measure.draw(*args, settings), None
         if cell.stochastic and (not cell.parameters or papers.AXIS in self.axes):
             for radiance in measure.film(
                 self.renderer, self.scene, self.camera, self.spent.size, settings, [None] * measure.REST
             ):
                 at_rest = radiance
-        errors = self._comparing.submit(frame, self.folder, stem, at_rest)
+        errors = self._comparing.submit(frame, self._judge.maps(frame, at_rest), self.folder, stem)
         alone = self._crew.paused if self._crew is not None else nullcontext
         times = measure.time_frames(*args, settings, self.spent.clock, alone)
         width, height = self.spent.size

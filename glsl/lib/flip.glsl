@@ -46,15 +46,15 @@ const mat3 RGB_FROM_XYZ = mat3(
     vec3(-0.542943015, 0.045248412, 1.151129905)
 );
 
-// Lightness, red against green, blue against yellow: linear in light, so that filters mix no colours.
-vec3 ycxcz_of_rgb(vec3 rgb) {
+// Brightness, red against green, blue against yellow: linear in light. The papers' Y, Cx and Cz but for factors and an
+// offset, which filters let through, and which rounding would leave in the dark.
+vec3 opponent_of_rgb(vec3 rgb) {
     vec3 xyz = XYZ_FROM_RGB * rgb;
-    return vec3(116.0 * xyz.y - 16.0, 500.0 * (xyz.x - xyz.y), 200.0 * (xyz.y - xyz.z));
+    return vec3(xyz.y, xyz.x - xyz.y, xyz.y - xyz.z);
 }
 
-vec3 rgb_of_ycxcz(vec3 c) {
-    float y = (c.x + 16.0) / 116.0;
-    return RGB_FROM_XYZ * vec3(y + c.y / 500.0, y, y - c.z / 200.0);
+vec3 rgb_of_opponent(vec3 c) {
+    return RGB_FROM_XYZ * vec3(c.x + c.y, c.x, c.x - c.z);
 }
 
 // A driver's own pow is off by 1e-5 of the root on llvmpipe, which L* multiplies by 116: one Newton step mends it.

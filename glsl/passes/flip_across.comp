@@ -6,7 +6,7 @@ uniform sampler2D picture;                   // linear light, or sRGB
 uniform float scale, most;                   // of all light; of what comes of that
 uniform float exposure;                      // a factor; 0: what a screen is given, in sRGB
 layout(rgba32f) writeonly uniform image2D out_colour;      // Y, Cx, both parts of Cz
-layout(rgba32f) writeonly uniform image2D out_edges;       // of lightness 0 to 1: first and second derivative, mean
+layout(rgba32f) writeonly uniform image2D out_edges;       // of Y: first and second derivative, mean
 
 vec3 line[LINE];
 
@@ -23,7 +23,7 @@ vec3 seen(ivec2 at, ivec2 last) {
     vec3 c = texelFetch(picture, clamp(at, ivec2(0), last), 0).rgb * scale;
     c = vec3(c.x > 0.0 ? min(c.x, most) : 0.0, c.y > 0.0 ? min(c.y, most) : 0.0, c.z > 0.0 ? min(c.z, most) : 0.0);    // NaN: 0
     c = exposure > 0.0 ? tone_mapped(c * exposure) : decoded(c);
-    return ycxcz_of_rgb(clamp(c, 0.0, 1.0));
+    return opponent_of_rgb(clamp(c, 0.0, 1.0));
 }
 
 void filtered(const int k, ivec2 at, ivec2 last) {
@@ -38,7 +38,7 @@ void filtered(const int k, ivec2 at, ivec2 last) {
         if (i <= EDGE_REACH) edges += EDGES[i] * vec3(both.x, after.x - before.x, both.x);
     }
     imageStore(out_colour, at, colour);
-    imageStore(out_edges, at, vec4(edges.yz / 116.0, (edges.x + 16.0) / 116.0, 0.0));
+    imageStore(out_edges, at, vec4(edges.yz, edges.x, 0.0));
 }
 
 void main() {

@@ -19,7 +19,7 @@ vec3 colour_at(const int k) {
         sum.zw += SENSITIVITY[i].zw * both.zw;
         if (i <= FINE_REACH) sum.xy += SENSITIVITY[i].xy * both.xy;
     }
-    return hunt_lab(clamp(rgb_of_ycxcz(vec3(sum.xy, sum.z + sum.w)), 0.0, 1.0));
+    return hunt_lab(clamp(rgb_of_opponent(vec3(sum.xy, sum.z + sum.w)), 0.0, 1.0));
 }
 
 // Strength of edges and of points.

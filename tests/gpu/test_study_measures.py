@@ -13,8 +13,6 @@ from glhybrid.settings import Settings
 from glhybrid.study import direct, measure, picture, reference, stability, stages
 from glhybrid.study.measure import Clock
 
-pytest.importorskip("flip_evaluator", reason="a study measures with flip-evaluator")
-
 
 def test_the_reference_knows_its_noise(renderer: gh.Renderer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its expected error is the real one, measured against a picture of many more paths; and it goes on from disk."""
@@ -22,7 +20,7 @@ def test_the_reference_knows_its_noise(renderer: gh.Renderer, tmp_path: Path, mo
     few = reference.converge(renderer, scene, CAMERA, SIZE, bounces=2, target=0.0, most=16, folder=tmp_path)
     many = reference.converge(renderer, scene, CAMERA, SIZE, bounces=2, target=0.0, most=512, folder=tmp_path)
     assert many.samples >= 512 and many.noise_flip < few.noise_flip / 2
-    real = float(reference.picture.flip_map(few.radiance, many.radiance).mean())
+    real = float(renderer.flip.hdr(few.radiance, many.radiance).mean())
     assert 0.6 < real / few.noise_flip < 1.6
     monkeypatch.setattr(reference, "LOOK_PIXELS", SIZE[0] * SIZE[1] // 3)
     monkeypatch.setattr(reference, "BAND", 4)
@@ -52,7 +50,7 @@ def test_bias_is_told_against_all_light(renderer: gh.Renderer, tmp_path: Path) -
     def compared(bounces: int, samples: int) -> picture.Difference:
         settings = Settings(reflections="reference", aa=1, bounces=bounces, samples=samples, seed=12345)
         got = renderer.render(scene, camera, size, settings)["radiance"]
-        return picture.compare(got, found.radiance, found.light)[0]
+        return picture.compare(got, found.radiance, np.zeros(got.shape[:2], np.float32), found.light)
 
     every, direct_only = compared(1, 2048), compared(0, 64)
     assert 0.5 < every.bias_error_percent < 8
@@ -60,7 +58,9 @@ def test_bias_is_told_against_all_light(renderer: gh.Renderer, tmp_path: Path) -
         abs(every.bias_percent) < 4 * every.bias_error_percent
     )  # of 1.06 times that: `every` has an eighth of the variance
     assert abs(direct_only.bias_percent + 50) < 4 * direct_only.bias_error_percent
-    trimmed = picture.compare(found.radiance, found.radiance, found.light)[0]
+    trimmed = picture.compare(
+        found.radiance, found.radiance, np.zeros(found.radiance.shape[:2], np.float32), found.light
+    )
     assert trimmed.bias_percent == pytest.approx(-found.left_out_percent, abs=0.01)
 
 

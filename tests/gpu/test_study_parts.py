@@ -14,15 +14,13 @@ import glhybrid as gh
 from glhybrid.load.builtin import scene_path
 from glhybrid.scene import Environment
 from glhybrid.settings import Settings
-from glhybrid.study import beside, curves, jobs, paper, picture, reflected, run, stages
+from glhybrid.study import beside, curves, jobs, paper, reflected, run, stages
 from glhybrid.study.measure import Clock
 from glhybrid.study.peers import bundle, glb, panel
 from glhybrid.study.progress import Meter
 
 if TYPE_CHECKING:
     from glhybrid.context import Context
-
-pytest.importorskip("flip_evaluator", reason="a study measures with flip-evaluator")
 SIZE = (96, 72)
 
 
@@ -169,7 +167,7 @@ def test_a_scene_given_to_others_is_the_same_scene(renderer: gh.Renderer, tmp_pa
     again = again.replace(lights=scene.lights, environment=scene.environment)
     settings = Settings(aa=1)
     got, want = (renderer.render(s, scene.cameras[0], SIZE, settings)["radiance"] for s in (again, scene))
-    assert picture.compare(got, want)[0].flip < 0.04
+    assert renderer.flip.hdr(got, want).mean() < 0.04
     assert (np.abs(got - want).max(-1) < 0.02 * want.max(-1) + 1e-3).mean() > 0.85
 
 

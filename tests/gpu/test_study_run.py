@@ -31,8 +31,6 @@ from glhybrid.study.sweep import Cell
 if TYPE_CHECKING:
     from glhybrid.context import Context
 
-pytest.importorskip("flip_evaluator", reason="a study measures with flip-evaluator")
-
 
 def _run(folder: Path, monkeypatch: pytest.MonkeyPatch, context: "Context", **extra: object) -> run.Study:
     monkeypatch.setenv("GLHYBRID_CACHE", str(folder / "cache"))
@@ -362,15 +360,15 @@ def test_a_process_that_compares_says_what_is_wrong(tmp_path: Path) -> None:
         np.zeros((16, 16, 3), np.uint8),
         {"radiance": np.ones((16, 16, 3), np.float32), "visibility": np.ones((16, 16, 0), np.float32)},
     )
-    beside = Comparing(truth, 1)
+    beside, maps = Comparing(truth, 1), measure.ErrorMaps(np.full((16, 16), 0.25, np.float32))
     try:
-        assert beside.submit(frame, tmp_path, "one").result(60)["flip"] == 0
+        assert beside.submit(frame, maps, tmp_path, "one").result(60)["flip"] == 0.25
         with pytest.raises(OutputError):
-            beside.submit(frame, tmp_path / "nowhere", "one").result(60)
-        assert beside.submit(frame, tmp_path, "two").result(60)["images"]["png"] == "two.png"
+            beside.submit(frame, maps, tmp_path / "nowhere", "one").result(60)
+        assert beside.submit(frame, maps, tmp_path, "two").result(60)["images"]["png"] == "two.png"
         beside._all[0]._popen.kill()
         with pytest.raises(GlhybridError, match="has ended"):
-            beside.submit(frame, tmp_path, "three").result(60)
+            beside.submit(frame, maps, tmp_path, "three").result(60)
     finally:
         beside.close()
 

@@ -13,8 +13,6 @@ from glhybrid.study.peers import panel
 
 if TYPE_CHECKING:
     from glhybrid.renderer import Renderer
-
-pytest.importorskip("flip_evaluator", reason="a study measures with flip-evaluator")
 SIZE = (96, 64)
 CAMERA = Camera.look_at((0.6, 0.9, 3.0), (0, 0, 0), fov_y=0.9, name="main")
 SHOWS_SKY = ("mitsuba", "bpy", "filly")

@@ -101,7 +101,8 @@ def ask(renderer: Renderer, name: str, site: Site, samples: int, note: Note) -> 
         note(f"{site.name}: {name} is left out: {found}")
         return None
     radiance, told = found
-    difference, flip = picture.compare(radiance, site.reference, site.light)
+    flip = renderer.flip.hdr(radiance, site.reference)
+    difference = picture.compare(radiance, site.reference, flip, site.light)
     frame, _ = develop(renderer, site.scene, site.camera, radiance, site.exposure)
     images = {"png": f"peer-{name}.png", "exr": f"peer-{name}.exr", "flip": f"peer-{name}.flip.png"}
     frame.save(site.folder / images["png"])
