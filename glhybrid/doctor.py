@@ -23,7 +23,7 @@ _LIBRARIES = ("moderngl", "glcontext", "numpy", "numba", "trimesh", "xatlas", "p
 _EXTRAS = {
     "embreex": "ray tests against Embree",
     "mitsuba": "image tests against Mitsuba 3",
-    "flip-evaluator": "FLIP, the perceptual image difference",
+    "flip-evaluator": "tests of FLIP against its authors'",
     "pytest": "running the tests",
     "ruff": "lint",
     "mypy": "type checks",
