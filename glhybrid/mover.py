@@ -67,6 +67,12 @@ class Mover:
             self._scene = self._scene.replace(lights=moment.lights, cameras=moment.cameras)
         return self._scene
 
+    def settle(self) -> None:
+        """What is shown is taken for the frame before, too: from there to here nothing has moved."""
+        self._upload.keep_places()
+        if self.skin is not None:
+            self._upload.copy_vertices()
+
     @property
     def bytes(self) -> int:
         """On the GPU, beside the scene's own."""

@@ -256,6 +256,8 @@ class Staged:
         scene = self.drawn
         if self.mover is not None:
             scene = self.drawn = self.mover.show(settings.time or 0.0, timed)
+            if self._view is None:  # there is no picture before the first one
+                self.mover.settle()
             self._relight()
             if self.probe is not None:
                 self.probe.captured.clear()

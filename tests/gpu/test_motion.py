@@ -380,6 +380,20 @@ def _barycentrics(corners: Any, point: Any) -> Any:
     return np.stack([1 - v - w, v, w], 1)
 
 
+@pytest.mark.parametrize("name", ["BoxAnimated/BoxAnimated.glb", FILES["CesiumMan"]])
+def test_a_first_picture_has_not_moved(context: "Context", models: Path, name: str) -> None:
+    # A clip is staged at rest: what lies between that and the first time asked for is no motion of the picture.
+    scene = load(models / name)
+    with Renderer(context=context) as renderer:
+        single = renderer.render(scene, size=(64, 48), settings=Settings(time=0.5), aovs=("motion",))
+        assert not single["motion"].any()
+        assert renderer.render(scene, size=(64, 48), settings=Settings(time=0.55), aovs=("motion",))["motion"].any()
+    with Renderer(context=context) as renderer:
+        shots = [Shot(time=0.5), Shot(time=0.55), Shot(time=0.55)]
+        moved = [f["motion"].any() for f in renderer.frames(scene, shots, (64, 48), aovs=("motion",))]
+        assert moved == [False, True, False]
+
+
 def test_things_that_turn_inside_out_vanish_and_come_back(context: "Context") -> None:
     """A single-sided quad whose node is mirrored, flattened and scaled to nothing on the way: raster and rays agree."""
     quad = ray.piece([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
