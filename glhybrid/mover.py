@@ -29,6 +29,8 @@ class Mover:
         self.ms: dict[str, float] = {}
         self._world: F64 | None = None  # of the moment shown
         self._scene = motion.start
+        self._before: float | None = None  # time of what is kept as the frame before
+        self._now: float | None = None  # time of what is shown
         self.skin: Skin | None = None
         self.refit: Refit | None = None
         self._shown = [i for i, d in enumerate(motion.deformers) if upload.mesh_of_instance(d.instances[0]) >= 0]
@@ -41,6 +43,21 @@ class Mover:
         if self.skin is not None and self.refit is None and self._upload.trees is not None:
             meshes = [self.skin.meshes[i] for i in self._shown]
             self.refit = Refit(self._context, self._shaders, self._upload, meshes, self._features, self._rebuild)
+            self._now = None  # the trees are not there yet
+
+    def follow(self, before: float | None, time: float, timed: bool = True) -> Scene:
+        """As show(), for one of several that show this: its own frame before is of that time, None if it has none.
+
+        Without one nothing has moved yet: this moment is the frame before, too.
+        """
+        if (self._before, self._now) == (time if before is None else before, time):
+            return self._scene
+        if before is not None and self._now != before:
+            self.show(before, False)
+        scene = self.show(time, timed)
+        if before is None:
+            self._keep()
+        return scene
 
     def show(self, time: float, timed: bool = True) -> Scene:
         """Everything where the clip has it at a time in seconds; what was there becomes the frame before.
@@ -50,13 +67,12 @@ class Mover:
         """
         timing = Timing(self._finish, enabled=timed)
         timing.frame()
-        self._upload.keep_places()
+        self._keep()
         moment = timing.run("pose", lambda: self.motion.at(time, self._world))
         self._world = moment.world_from_object
         trees: dict[int, MovedTree] = {}
         skin, refit = self.skin, self.refit
         if skin is not None:
-            self._upload.copy_vertices()
             timing.run("skin", lambda: skin.run(moment.shapes))
         if refit is not None:
             trees = timing.run("refit", lambda: refit.run([moment.shapes[i] for i in self._shown]))
@@ -65,13 +81,15 @@ class Mover:
             self.ms = timing.take()
         if moment.lights is not self._scene.lights or moment.cameras is not self._scene.cameras:
             self._scene = self._scene.replace(lights=moment.lights, cameras=moment.cameras)
+        self._now = time
         return self._scene
 
-    def settle(self) -> None:
-        """What is shown is taken for the frame before, too: from there to here nothing has moved."""
+    def _keep(self) -> None:
+        """What is shown becomes the frame before."""
         self._upload.keep_places()
         if self.skin is not None:
             self._upload.copy_vertices()
+        self._before = self._now
 
     @property
     def bytes(self) -> int:

@@ -115,6 +115,7 @@ class Staged:
         self.reference = Reference(context, shaders, self.upload, features) if reference else None
         self._aov = Aov(shaders, self.upload, features)
         self._view: View | None = None  # of the last picture
+        self._time: float | None = None  # of the last picture, where things move
         self._ids: Any = None  # of the pixel centres, once AOVs asked for them
         self.stochastic = features.glossy or features.light_discs or features.occlusion
         self._top: tuple[Any, list[float]] | None = None  # the tree and the origin that the constants know
@@ -255,9 +256,8 @@ class Staged:
         """Everything to the time of the settings, and the view of a camera there. timed: wait for the parts of it."""
         scene = self.drawn
         if self.mover is not None:
-            scene = self.drawn = self.mover.show(settings.time or 0.0, timed)
-            if self._view is None:  # there is no picture before the first one
-                self.mover.settle()
+            then, self._time = self._time, settings.time or 0.0
+            scene = self.drawn = self.mover.follow(then, self._time, timed)
             self._relight()
             if self.probe is not None:
                 self.probe.captured.clear()

@@ -394,6 +394,20 @@ def test_a_first_picture_has_not_moved(context: "Context", models: Path, name: s
         assert moved == [False, True, False]
 
 
+@pytest.mark.parametrize("name", ["BoxAnimated/BoxAnimated.glb", FILES["CesiumMan"]])
+def test_pictures_side_by_side_have_moved_alike(context: "Context", models: Path, name: str) -> None:
+    # Both techniques of a split view share what moves; the second one's frame before is not the first one's of now.
+    scene, sides = load(models / name), [Settings(shadows=name, aa=1) for name in ("none", "map")]
+    with Renderer(context=context, interactive=True) as renderer:
+        for time in (0.5, 0.55, 0.55, 0.6):
+            a, b = (
+                renderer.render(scene, size=(64, 48), settings=side.replace(time=time), aovs=("motion",))["motion"]
+                for side in sides
+            )
+            np.testing.assert_array_equal(a, b)
+        assert a.any()
+
+
 def test_things_that_turn_inside_out_vanish_and_come_back(context: "Context") -> None:
     """A single-sided quad whose node is mirrored, flattened and scaled to nothing on the way: raster and rays agree."""
     quad = ray.piece([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
