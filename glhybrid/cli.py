@@ -327,7 +327,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stderr.close()
         return 0
     except OSError as error:  # a full disk, a name too long
-        console.error(f"{error.filename}: {error.strerror}" if error.filename else error)
+        console.error(f"{error.filename}: {error.strerror}" if error.filename else error.strerror or error)
         return USAGE_ERROR
     except MemoryError:
         console.error("not enough memory: take a smaller --size or scene")

@@ -21,6 +21,10 @@ from glhybrid.host import Host, Problem
 PROBE_TIMEOUT_S = 60
 _LIBRARIES = ("moderngl", "glcontext", "numpy", "numba", "trimesh", "xatlas", "pillow", "OpenEXR", "cyclopts", "rich")
 _EXTRAS = {
+    "av": "movies: .mp4",
+    "imgui-bundle": "the viewer",
+    "glfw": "the viewer in a window",
+    "aiohttp": "the viewer in a browser: view --web",
     "embreex": "ray tests against Embree",
     "mitsuba": "image tests against Mitsuba 3",
     "flip-evaluator": "tests of FLIP against its authors'",

@@ -71,7 +71,14 @@ AOVS: dict[str, Aov] = {
     "instance_id": Aov("uint32", ("id",), "index", "", NO_ID, "index into Scene.instances"),
     "material_id": Aov("uint32", ("id",), "index", "", NO_ID, "index into Scene.materials"),
     "triangle_id": Aov("uint32", ("id",), "index", "", NO_ID, "triangle within its mesh"),
-    "motion": Aov("float32", ("X", "Y"), "pixels", "image, x right, y down", 0, "to where the point was a frame ago; 0 in a first one"),
+    "motion": Aov(
+        "float32",
+        ("X", "Y"),
+        "pixels",
+        "image, x right, y down",
+        0,
+        "to where the point was a frame ago; 0 in a first one",
+    ),
     "visibility": Aov("float32", (), "0 to 1", "", 0, "how much of each light arrives"),
     "occlusion": Aov(
         "float32", ("Y",), "0 to 1", "", 1, "open share of the sky, by `ao`; 1 all over where that is off"

@@ -17,6 +17,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from glhybrid import interrupts
+
 log = logging.getLogger("glhybrid")
 _refused: set[Path] = set()  # folders that take no more
 
@@ -83,13 +85,15 @@ def kernel(signature: Any, **options: Any) -> Callable[[Any], Any]:
         )  # read while the kernel is declared; others keep theirs
         declare = functools.partial(numba.njit, signature, nogil=True, error_model="numpy", **options)
         try:
-            return declare(cache=cached)(function)
+            with interrupts.deferred():  # LLVM calls Python back, and what is raised there is lost
+                return declare(cache=cached)(function)
         except OSError as error:  # a full disk
             if not cached:
                 raise
             _refused.add(folder)
             log.warning("%s: compiled kernels cannot be kept: %s", folder, error.strerror or error)
-            return declare(cache=False)(function)
+            with interrupts.deferred():
+                return declare(cache=False)(function)
         finally:
             config.CACHE_DIR = before
 

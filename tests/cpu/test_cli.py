@@ -2,6 +2,7 @@
 
 import io
 import json
+import signal
 import subprocess
 import sys
 import time
@@ -206,6 +207,41 @@ def test_ctrl_c_while_python_imports() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_streams_that_are_closed(closed: str) -> None:
+    # As under some schedulers: results and messages lead nowhere, and nothing breaks that wants to write them.
+    for arguments, code in (("scenes", 0), ("settings pcf", 0), ("render nothing.glb", 2), ("cache --json", 0)):
+        line = f'"{sys.executable}" -m glhybrid {arguments} {closed}'
+        done = subprocess.run(["sh", "-c", line], capture_output=True, text=True, check=False)
+        assert done.returncode == code and "Traceback" not in done.stderr, (line, done.stderr)
+        assert done.stdout == "" or closed == "2>&-"
+
+
+def test_ctrl_c_waits_while_kernels_compile(monkeypatch: pytest.MonkeyPatch) -> None:
+    # LLVM calls back into Python, and an interrupt raised in there is printed and lost: the run would go on.
+    import numba
+
+    from glhybrid import jit
+
+    reached = []
+
+    def njit(*_: Any, **__: Any) -> Any:
+        def compile_it(function: Any) -> Any:
+            try:
+                signal.raise_signal(signal.SIGINT)
+            except KeyboardInterrupt:
+                reached.append("lost")
+            reached.append("compiled")
+            return function
+
+        return compile_it
+
+    monkeypatch.setattr(numba, "njit", njit)
+    with pytest.raises(KeyboardInterrupt):
+        jit.kernel("void()")(lambda: None)
+    assert reached == ["compiled"]
 
 
 def test_a_scene_of_a_name_that_no_disk_holds(capsys: pytest.CaptureFixture[str]) -> None:
