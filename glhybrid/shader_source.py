@@ -6,9 +6,9 @@ from pathlib import Path
 from glhybrid import layout
 from glhybrid.errors import ShaderError
 from glhybrid.needs import Features
+from glhybrid.shader_live import ConditionError, Text
 
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$', re.MULTILINE)
-_WORD = re.compile(r"\b[A-Z][A-Z0-9_]+\b")
 _VERSION = "#version 430 core\n"
 
 
@@ -19,7 +19,12 @@ class Source:
         self.path = path
         self.files: list[str] = []
         self.text = self._expand(folders, path)
-        self._words = frozenset(_WORD.findall(self.text))
+        try:
+            self._live = Text(self.text)
+        except ConditionError as error:
+            raise ShaderError(f"{self._place(error.line)}: {error}") from None
+        self._words = self._live.words
+        self._made: dict[tuple[int, ...], tuple[str, dict[str, int]]] = {}
 
     def _expand(self, folders: tuple[Path, ...], path: str) -> str:
         index = len(self.files)
@@ -45,19 +50,28 @@ class Source:
         return "\n".join(lines)
 
     def specialise(self, features: Features) -> tuple[str, dict[str, int]]:
-        """Full text, and the features it names."""
-        words = self._words
+        """The text that counts under these features, and those that it depends on."""
         known = features.defines()
-        if missing := sorted(w for w in words if w.startswith("USE_") and w not in known):
+        if missing := sorted(w for w in self._words if w.startswith("USE_") and w not in known):
             raise ShaderError(f"glsl/{self.path}: {missing[0]} is not a field of Features in glhybrid/needs.py")
-        named: dict[str, int] = {}
-        for name, value in known.items():
-            constant = name.removeprefix("USE_")
-            if name in words or (name.startswith("USE_") and constant in words):
-                named[name] = value
-        head = [f"#define {name} {value}" for name, value in named.items()]
-        head += [f"const bool {n[4:]} = bool({n});" for n in named if n.startswith("USE_") and n != "USE_AOV"]
-        return _VERSION + "\n".join(head) + "\n" + self.text, named
+        values = tuple(_named(known, self._words).values())
+        if values not in self._made:
+            try:
+                text, words = self._live.live(known)
+            except ConditionError as error:
+                raise ShaderError(f"{self._place(error.line)}: {error}") from None
+            named = _named(known, words)
+            head = [f"#define {name} {value}" for name, value in named.items()]
+            head += [f"const bool {n[4:]} = bool({n});" for n in named if n.startswith("USE_") and n != "USE_AOV"]
+            self._made[values] = _VERSION + "\n".join(head) + "\n" + text, named
+        return self._made[values]
+
+    def _place(self, line: int) -> str:
+        """A line of the text, from 0, as `glsl/FILE:LINE`."""
+        lines = self.text.split("\n")
+        start = next(k for k in range(line, -1, -1) if lines[k].startswith("#line "))
+        _, number, index = lines[start].split()
+        return f"glsl/{self.files[int(index)]}:{int(number) + line - start - 1}"
 
     def readable(self, log: str) -> str:
         """Mesa's `S:L(C):` and NVIDIA's `S(L) :` as `glsl/FILE:LINE:`."""
@@ -69,3 +83,12 @@ class Source:
 
         log = re.sub(r"\b(\d+):(\d+)\(\d+\):", place, log)
         return re.sub(r"\b(\d+)\((\d+)\) :", place, log)
+
+
+def _named(known: dict[str, int], words: frozenset[str]) -> dict[str, int]:
+    """Those of the defines that words name, themselves or as the constant that goes with them."""
+    return {
+        name: value
+        for name, value in known.items()
+        if name in words or (name.startswith("USE_") and name.removeprefix("USE_") in words)
+    }

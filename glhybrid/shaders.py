@@ -1,7 +1,7 @@
-"""Compiles shaders for the features that their text names, keeps the programs, and binds resources by name.
+"""Compiles shaders for the features that they depend on, keeps the programs, and binds resources by name.
 
-A program is keyed by its path and by the features that its text names; a feature nobody names is not part of the key,
-so equal programs are shared. Binding numbers are counted here and nowhere else.
+A program is keyed by its path and by the features that what counts of its text names (shader_live.py); others are not
+part of the key, so equal programs are shared. Binding numbers are counted here and nowhere else.
 """
 
 import os
@@ -244,7 +244,7 @@ class Shaders:
 
     def text(self, stem: str) -> bytes:
         """Source of glsl/passes/STEM.comp with its includes: what a result kept on disk depends on."""
-        return self._source(f"passes/{stem}.comp", Features())[1].encode()
+        return self._source(f"passes/{stem}.comp", Features())[0].text.encode()
 
     def raster(self, stem: str, features: Features) -> Program:
         """glsl/passes/STEM.vert and STEM.frag, one varying integer output, for these features."""
