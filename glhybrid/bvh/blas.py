@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from glhybrid.bvh import presplit
+from glhybrid.bvh import presplit, sweep
 from glhybrid.bvh.check import check_structure, leaf_boxes, refuse, refuse_gaps, split_slots
-from glhybrid.bvh.fragments import LEAF, Grown, box_fragments, grow_small, identity, make_grid
+from glhybrid.bvh.fragments import LEAF, Grown, box_fragments, identity, make_grid
 from glhybrid.errors import GeometryError
 from glhybrid.scene import F32, F64, U16, U32
 
@@ -162,7 +162,7 @@ def build_blas(
         corners = position.astype(np.float64)
         fragments = box_fragments(corners.min(1) - pad, corners.max(1) + pad, *grid)
         fragments = np.concatenate([fragments, around])
-        tree = grow_small(fragments, grid[1], max_leaf)
+        tree = sweep.grow_tree(fragments, grid[1], max_leaf)
         slots = np.concatenate([_triangle_slots(position, *ids), _sphere_slots(spheres, *sphere_ids)])
         slots = slots[identity(fragments)]
     else:

@@ -1,4 +1,4 @@
-"""What goes into a tree, and the builder for small ones. NumPy only, so that small scenes never wait for a compiler.
+"""What goes into a tree, and what comes out of its builders (sweep.py, build.py). NumPy only.
 
 A *fragment* is the box of a triangle, sphere or instance on the tree's own 16-bit grid, and an id. It is eight uint16,
 one SIMD register: (65535 - lo).xyz, hi.xyz, id low, id high. Storing the low side inverted makes the union of two
@@ -57,12 +57,6 @@ def identity(fragments: U16) -> U32:
     return fragments[:, 6].astype(np.uint32) | fragments[:, 7].astype(np.uint32) << np.uint32(16)
 
 
-def half_areas(boxes: U16, step: F64) -> F64:
-    """Half the surface area of fragments or unions of them, (..., 8) -> (...), in the units of step (3,)."""
-    side = (boxes[..., 3:6].astype(np.int64) + boxes[..., :3] - 65535) * step
-    return side[..., 0] * side[..., 1] + side[..., 1] * side[..., 2] + side[..., 2] * side[..., 0]
-
-
 def pack_boxes(boxes: U16) -> U32:
     """(..., 8) fragments or unions -> (..., 3) words low | high << 16."""
     wide = boxes.astype(np.uint32)
@@ -73,49 +67,3 @@ def single_leaf(fragments: U16) -> Grown:
     """Over (n, 8) fragments: a root with one leaf, and an empty child that names the same slots."""
     words = pack_boxes(fragments.max(0))
     return Grown(np.array([[*words, LEAF | len(fragments), *words, LEAF]], np.uint32), 1, 1.0 + len(fragments))
-
-
-def grow_small(fragments: U16, grid_step: F32, max_leaf: int = 4) -> Grown:
-    """The tree over a few hundred fragments (n, 8), which are put into leaf order: full SAH, every split of every axis.
-
-    About 0.1 ms a node, so build.grow_tree is the better one from about a thousand fragments on.
-    """
-    step = grid_step.astype(np.float64) / grid_step.max()
-    nodes: list[list[int]] = []
-    depth, cost = 0, 0.0
-    todo = [(0, len(fragments), 0, -1, 0)]
-    while todo:
-        first, last, level, parent, side = todo.pop()
-        n = last - first
-        part = fragments[first:last]
-        area = float(half_areas(part.max(0), step))
-        if n == 1:
-            left, best = 0, np.inf
-        else:
-            centroid = part[:, 3:6].astype(np.int64) - part[:, :3]
-            order = np.argsort(centroid, axis=0, kind="stable").T  # (3, n)
-            ordered = part[order]
-            before = half_areas(np.maximum.accumulate(ordered, axis=1), step)[:, :-1]
-            behind = half_areas(np.maximum.accumulate(ordered[:, ::-1], axis=1), step)[:, -2::-1]
-            count = np.arange(1, n)
-            costs = before * count + behind * (n - count) + 1e-6 * area * abs(2 * count - n)  # of equals, the middle
-            axis, left = divmod(int(np.argmin(costs)), n - 1)
-            best, left = area + float(costs[axis, left]), left + 1
-            if level >= MEDIAN_DEPTH:
-                left = n // 2
-        if n <= max_leaf and area * n <= best:
-            ref = LEAF | first << 4 | n
-            cost += area * n
-        else:
-            ref = len(nodes)
-            fragments[first:last] = ordered[axis]
-            middle = first + left
-            boxes = pack_boxes(np.stack([fragments[first:middle].max(0), fragments[middle:last].max(0)])).tolist()
-            nodes.append([*boxes[0], 0, *boxes[1], 0])
-            todo += [(middle, last, level + 1, ref, 1), (first, middle, level + 1, ref, 0)]
-            cost, depth = cost + area, max(depth, level + 1)
-        if parent >= 0:
-            nodes[parent][side * 4 + 3] = ref
-    if not nodes:
-        return single_leaf(fragments)
-    return Grown(np.array(nodes, np.uint32), depth, cost / float(half_areas(fragments.max(0), step)))

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from glhybrid.bvh import sweep
 from glhybrid.bvh.blas import MAX_SLOTS, PAD, threads_available
 from glhybrid.bvh.check import check_structure, leaf_boxes, refuse
-from glhybrid.bvh.fragments import LEAF, box_fragments, grow_small, identity, make_grid
+from glhybrid.bvh.fragments import LEAF, box_fragments, identity, make_grid
 from glhybrid.errors import GeometryError
 from glhybrid.scene import F32, F64, U32
 
@@ -81,7 +82,7 @@ def build_tlas(boxes: F32 | F64, moving: bool = False, threads: int | None = Non
     boxes, grid, pad = _checked(boxes)
     fragments = box_fragments(boxes[:, 0] - pad, boxes[:, 1] + pad, *grid)
     if len(boxes) <= (FEW if moving else SMALL):
-        tree = grow_small(fragments, grid[1], max_leaf=1)
+        tree = sweep.grow_tree(fragments, grid[1], max_leaf=1)
     else:
         from glhybrid.bvh import build, leaves, reinsert
 
