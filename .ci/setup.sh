@@ -74,8 +74,8 @@ if ! [ -f "$stamp" ] || [ pyproject.toml -nt "$stamp" ] || ! [ -x .venv/bin/glhy
     fresh=1
 fi
 
-# The tree builder compiles at its first use; that wait belongs here, not in front of somebody's first model.
-[ -z "${fresh:-}" ] || .venv/bin/python -c 'from glhybrid import bvh, swarm; from glhybrid.bvh import top; bvh.warm_up()'
+# Kernels compile at a first run; that belongs here, so that the first model has the best tree too.
+[ -z "${fresh:-}" ] || .venv/bin/python -c 'from glhybrid import kernels; kernels.load_all()'
 
 if ! opengl_works; then
     apt_install "no OpenGL driver works yet, Mesa renders in software" libegl1 libegl-mesa0 libgl1-mesa-dri || true

@@ -87,7 +87,9 @@ def _limits() -> dict[str, int]:
 
 def _files(kind: str) -> Iterator[Path]:
     """Those of ours in the folder of a kind: somebody may have named a folder that holds other things too."""
-    names = {"numba": ("*.nbi", "*.nbc"), "bvh": ("*.blas",), "reference": ("*.npz",)}.get(kind, (f"*.{kind}",))
+    names = {"numba": ("*.nbi", "*.nbc", "*.ready"), "bvh": ("*.blas",), "reference": ("*.npz",)}.get(
+        kind, (f"*.{kind}",)
+    )
     folder = jit.cache_dir() / kind
     for name in (*names, "*.part"):
         yield from folder.rglob(name) if kind == "numba" else folder.glob(name)

@@ -96,7 +96,7 @@ class GpuTrees:
         return -(-entries // 4) * 4
 
     def stats(self) -> dict[str, Any]:
-        """What the receipt says. sah_cost: mean over meshes, weighted by triangles."""
+        """What the receipt says. sah_cost: mean over meshes, weighted by triangles; quick: as Blas, of any."""
         blases = [m.blas for m in self._geometry.meshes]
         weights = np.array([max(len(b.slots), 1) for b in blases], np.float64)
         top = self.top
@@ -106,6 +106,7 @@ class GpuTrees:
             "sah_cost": float(np.average([b.sah_cost for b in blases], weights=weights)) if blases else 0.0,
             "build_ms": float(sum(b.build_ms for b in blases) + (top.build_ms if top is not None else 0.0)),
             "bytes": self._nodes.buffer.size + self._slots.buffer.size,
+            "quick": any(b.quick for b in blases),
         }
 
     def move_top(self, boxes: F64, moved: np.ndarray) -> None:

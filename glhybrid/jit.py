@@ -37,7 +37,20 @@ def cache_dir() -> Path:
         return Path(tempfile.gettempdir()) / "glhybrid"
 
 
-def _writable(folder: Path) -> bool:
+def folder() -> Path | None:
+    """Where compiled kernels are kept; None: nowhere."""
+    if given := os.environ.get("NUMBA_CACHE_DIR"):
+        return Path(given)
+    return None if os.environ.get("GLHYBRID_CACHE") == "off" else cache_dir() / "numba"
+
+
+def refused() -> bool:
+    """Whether a folder took no more, so that not all that was compiled is kept."""
+    return bool(_refused)
+
+
+def writable(folder: Path) -> bool:
+    """Whether files can be made in it; it is made itself where that can be."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -76,7 +89,7 @@ def kernel(signature: Any, **options: Any) -> Callable[[Any], Any]:
         folder = Path(config.CACHE_DIR) if config.CACHE_DIR else cache_dir() / "numba"
         off = os.environ.get("GLHYBRID_CACHE") == "off" and not config.CACHE_DIR
         folder /= _borrowed(function)
-        cached = not off and folder not in _refused and _writable(folder)
+        cached = not off and folder not in _refused and writable(folder)
         if not cached or next(folder.rglob("*.nbi"), None) is None:
             _announce(cached)
         before, config.CACHE_DIR = (

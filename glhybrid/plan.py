@@ -4,7 +4,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from glhybrid import needs, techniques
+from glhybrid import kernels, needs, techniques
+from glhybrid.bvh.blas import SMALL
 from glhybrid.deform import at_time
 from glhybrid.errors import SettingError
 from glhybrid.layout import CONSTANTS
@@ -243,11 +244,16 @@ def describe(
         "levels": plan.levels,
         "primary": plan.primary,
         "passes": list(plan.passes),
-        "reasons": list(plan.reasons),
+        "reasons": [*plan.reasons, *[kernels.QUICK] * _quick(plan, scene)],
         "features": [name.removeprefix("USE_").lower() for name in on],
         "skipped": list(plan.skipped),
         **({"device rates": tuning.to_dict()} if tuning is not None else {}),
     }
+
+
+def _quick(plan: Plan, scene: Scene) -> bool:
+    """Whether trees come from the quick builder, unless they are kept from before or are many."""
+    return plan.trees and scene.triangle_count() > SMALL and kernels.mode() != "first" and not kernels.TREES.ready()
 
 
 MEASURE_SIZE = (320, 180)  # pixels: shares of a picture settle long before its details do

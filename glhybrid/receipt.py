@@ -3,7 +3,7 @@
 import dataclasses
 from typing import TYPE_CHECKING, Any
 
-from glhybrid import __version__, checks, pose
+from glhybrid import __version__, checks, kernels, pose
 from glhybrid.timing import Timing
 from glhybrid.view import View
 
@@ -23,6 +23,7 @@ def make(staged: "Staged", view: View, timing: Timing, first_image_ms: float) ->
     medians = (mover.ms if mover is not None else {}) | timing.medians()
     if probe is not None and mover is not None:
         medians["probe"] = probe.ms  # anew for every time
+    trees = upload.bvh_stats()
     images = (staged.targets, staged.sky, *(part for part in (maps, probe) if part is not None))
     found = {
         "version": __version__,
@@ -38,13 +39,13 @@ def make(staged: "Staged", view: View, timing: Timing, first_image_ms: float) ->
         },
         "plan": {
             "passes": list(plan.passes), "programs": staged.shaders.names, "primary": plan.primary,
-            "levels": upload.geometry.levels, "reasons": list(plan.reasons),
+            "levels": upload.geometry.levels, "reasons": [*plan.reasons, *[kernels.QUICK] * trees["quick"]],
             "image_bytes": upload.image_bytes + sum(part.bytes for part in images),
             "buffer_bytes": upload.buffer_bytes + staged.constants.buffer.size
             + (mover.bytes if mover is not None else 0),
             "skipped": list(plan.skipped),
         },
-        "bvh": upload.bvh_stats(),
+        "bvh": trees,
         "passes": [{"name": name, "ms": ms} for name, ms in medians.items()],
         "frame_ms": sum(medians.values()),
         "first_image_ms": first_image_ms,

@@ -1,9 +1,11 @@
 """Poses of nodes and instances, compiled: a frame of one takes microseconds, and one of thousands all cores.
 
-Import it only where something moves, or where there are thousands (MANY). Each function does what NumPy does elsewhere
+Import it only where something moves, or where there are thousands (MANY). Small scenes begin with the same functions as
+plain Python, which gives the same bits and needs no Numba (kernels.py). Each function does what NumPy does elsewhere
 for what is looked at once (keys.Tracks.at, pose.Player.at, pose.place, GpuScene); tests hold both against each other.
 """
 
+import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -11,19 +13,15 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit, types
 
 from glhybrid import layout
-from glhybrid.jit import kernel
+from glhybrid.kernels import MOTION
 
 TASK = 8192  # elements under which a range is not worth another thread
 KINDS = {"STEP": 0, "LINEAR": 1, "SLERP": 2, "CUBICSPLINE": 3, "CUBIC_TURN": 4}
 _fields: Any = layout.dtype("Instance").fields
 FLAG: int = _fields["flipped"][1] // 4  # column of 32-bit words in rows of layout Instance
 assert (_fields["world_from_object"][1], _fields["object_from_world"][1]) == (0, 64)  # as `place` has it
-_f1, _f2, _f3 = (types.Array(types.float64, n, "C", readonly=True) for n in (1, 2, 3))
-_i1 = types.Array(types.int64, 1, "C", readonly=True)
-_bytes = types.Array(types.uint8, 1, "C", readonly=True)
 
 
 def spread(function: Callable[[int, int], Any], first: int, last: int) -> list[Any]:
@@ -44,9 +42,7 @@ def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(_cores(), "glhybrid-swarm")
 
 
-@kernel(
-    types.void(_f1, _f3, _i1, _i1, _i1, types.float64, types.int64, types.int64, types.int64, types.float64[:, ::1])
-)
+@MOTION.kernel("void(f1, f3, i1, i1, i1, float64, int64, int64, int64, float64[:, ::1])")
 def sample(times, values, starts, ends, rows, time, kind, first, last, out):  # type: ignore[no-untyped-def]
     """Channels first..last-1 at a time -> their rows of out (N, W). values: (K, 1 or 3, W); rotations unit but for
     cubic ones."""
@@ -76,16 +72,19 @@ def sample(times, values, starts, ends, rows, time, kind, first, last, out):  # 
                 sign = -1.0 if dot < 0 else 1.0
                 apart, together = 0.0, 0.0
                 for w in range(4):
-                    apart += (values[before, 0, w] - sign * values[low, 0, w]) ** 2
-                    together += (values[before, 0, w] + sign * values[low, 0, w]) ** 2
-                angle = 2 * np.arctan2(np.sqrt(apart), np.sqrt(together))
+                    less = values[before, 0, w] - sign * values[low, 0, w]
+                    more = values[before, 0, w] + sign * values[low, 0, w]
+                    apart += less * less
+                    together += more * more
+                angle = 2 * math.atan2(np.sqrt(apart), np.sqrt(together))
                 if angle >= 1e-9:
-                    sine = np.sin(angle)
-                    a, b = np.sin(a * angle) / sine, np.sin(b * angle) / sine
+                    sine = math.sin(angle)
+                    a, b = math.sin(a * angle) / sine, math.sin(b * angle) / sine
                 b *= sign
             if kind >= 3:
-                p, q = 2 * u**3 - 3 * u**2 + 1, (u**3 - 2 * u**2 + u) * step
-                r, s = 3 * u**2 - 2 * u**3, (u**3 - u**2) * step
+                square, cube = u * u, u * u * u
+                p, q = 2 * cube - 3 * square + 1, (cube - 2 * square + u) * step
+                r, s = 3 * square - 2 * cube, (cube - square) * step
                 for w in range(width):
                     out[row, w] = (
                         p * values[before, 1, w] + q * values[before, 2, w]
@@ -95,7 +94,10 @@ def sample(times, values, starts, ends, rows, time, kind, first, last, out):  # 
                 for w in range(width):
                     out[row, w] = a * values[before, 0, w] + b * values[low, 0, w]
         if kind == 2 or kind == 4:
-            length = np.sqrt(out[row, 0] ** 2 + out[row, 1] ** 2 + out[row, 2] ** 2 + out[row, 3] ** 2)
+            length = 0.0
+            for w in range(4):
+                length += out[row, w] * out[row, w]
+            length = np.sqrt(length)
             for w in range(4):
                 if length > 1e-30:
                     out[row, w] /= length
@@ -103,11 +105,7 @@ def sample(times, values, starts, ends, rows, time, kind, first, last, out):  # 
                     out[row, w] = 1.0 if w == 3 else 0.0
 
 
-@kernel(
-    types.int64(
-        _f2, _f2, _f2, _bytes, _f3, _i1, _i1, types.int64, types.int64, types.float64[:, :, ::1]
-    )
-)  # fmt: skip
+@MOTION.kernel("int64(f2, f2, f2, b1, f3, i1, i1, int64, int64, float64[:, :, ::1])")
 def pose_level(translation, rotation, scale, posed, local, nodes, parents, first, last, world):  # type: ignore[no-untyped-def]
     """world_from_node of nodes[first:last], whose parents are done or come before them. posed: nodes whose T, R, S
     count, not `local`.
@@ -150,7 +148,7 @@ def pose_level(translation, rotation, scale, posed, local, nodes, parents, first
     return bad
 
 
-@njit
+@MOTION.helper
 def determinant(m):  # type: ignore[no-untyped-def]
     """Of the linear part."""
     return (
@@ -159,12 +157,7 @@ def determinant(m):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@kernel(
-    types.int64(
-        _f3, _i1, _f3, _bytes, _i1, types.int64, types.int64, types.float64[:, :, ::1], types.uint8[::1],
-        types.uint8[::1],
-    )
-)  # fmt: skip
+@MOTION.kernel("int64(f3, i1, f3, b1, i1, int64, int64, float64[:, :, ::1], uint8[::1], uint8[::1])")
 def carry(world, nodes, local, plain, rows, first, last, out, flat, moved):  # type: ignore[no-untyped-def]
     """out[rows[k]] = world[nodes[k]] @ local[k], k from first to last - 1; plain: where local is the identity.
 
@@ -195,11 +188,11 @@ def carry(world, nodes, local, plain, rows, first, last, out, flat, moved):  # t
             for j in range(3):
                 size += m[i, j] * m[i, j]
         flat[k] = abs(determinant(m)) <= 1e-6 * size * np.sqrt(size)
-        count += flat[k]
+        count += 1 if flat[k] else 0
     return count
 
 
-@njit
+@MOTION.helper
 def _positions(m, inv, origin, words):  # type: ignore[no-untyped-def]
     """The last columns of both matrices, for a world whose zero is origin."""
     x, y, z = m[0, 3] - origin[0], m[1, 3] - origin[1], m[2, 3] - origin[2]
@@ -208,13 +201,10 @@ def _positions(m, inv, origin, words):  # type: ignore[no-untyped-def]
         words[28 + i] = -(inv[i, 0] * x + inv[i, 1] * y + inv[i, 2] * z)
 
 
-@kernel(
-    types.int64(
-        _f3, _i1, _f3, types.Array(types.uint32, 1, "C", readonly=True), _i1, types.int64, types.int64, _f1,
-        types.int64, types.uint32[:, ::1], types.float32[:, ::1], types.float64[:, :, ::1], types.uint8[::1],
-        types.float64[:, :, ::1],
-    )
-)  # fmt: skip
+@MOTION.kernel(
+    "int64(f3, i1, f3, u1, i1, int64, int64, f1, int64, uint32[:, ::1], float32[:, ::1], float64[:, :, ::1], "
+    "uint8[::1], float64[:, :, ::1])"
+)
 def place(world, ids, bounds, mesh, rows, first, last, origin, flag, bits, words, inverse, flipped, boxes):  # type: ignore[no-untyped-def]
     """Instances rows[first:last], at world[ids[row]], of a world whose zero is origin (3,).
 
@@ -248,7 +238,7 @@ def place(world, ids, bounds, mesh, rows, first, last, origin, flag, bits, words
     return turned
 
 
-@kernel(types.void(_f3, _i1, _f3, _f1, types.int64, types.int64, types.float32[:, ::1]))
+@MOTION.kernel("void(f3, i1, f3, f1, int64, int64, float32[:, ::1])")
 def rebase(world, ids, inverse, origin, first, last, words):  # type: ignore[no-untyped-def]
     """The positions of both matrices of instances first..last-1, for a world whose zero is origin (3,)."""
     for k in range(first, last):

@@ -175,7 +175,7 @@ class _Stage:
     """One small scene on the device, with the passes that are compared."""
 
     def __init__(self, context: "Context", shaders: "Shaders", triangles: int, size: tuple[int, int]) -> None:
-        from glhybrid import geometry, needs
+        from glhybrid import geometry, kernels, needs
         from glhybrid.bench import scenes
         from glhybrid.frame_constants import FrameConstants
         from glhybrid.gpu_scene import GpuScene
@@ -184,7 +184,8 @@ class _Stage:
         from glhybrid.view import make_view
 
         scene, software = scenes.make("spheres", triangles), context.device.software
-        found = geometry.build(scene, 1, tangents=False, attributes=False)
+        with kernels.TREES.left_alone():  # such scenes are no reason to compile
+            found = geometry.build(scene, 1, tangents=False, attributes=False)
         features = needs.find(scene, Settings()).features.replace(
             clip_control=context.limits.clip_control,
             buffer_array=software,

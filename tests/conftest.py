@@ -24,6 +24,9 @@ MODELS = ROOT.parent / "shared" / "models"
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    os.environ.setdefault(
+        "GLHYBRID_COMPILE", "first"
+    )  # the same trees in every run, and no process of ours left behind
     os.environ.setdefault("GLHYBRID_TUNING", "off")  # no test's picture may hang on how fast the machine is today
     config.addinivalue_line("markers", "gpu: needs an OpenGL 4.3 context (tests/gpu, tests/image, tests/viewer)")
     config.addinivalue_line("markers", "slow: takes more than a few seconds on two cores")

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from glhybrid import kernels
 from glhybrid.bench import builds, clock, frames, peers, scenes
 from glhybrid.bench.clock import Sample
 from glhybrid.bench.rays import ANY_HIT, CLASSES, MOST_RAYS, Tracer, Variant, variants
@@ -60,6 +61,7 @@ def run(
     own = [name for name in names if name.partition(":")[0] in scenes.SITES]
     jobs = [job for name in own or ([] if names else scenes.SITES) for job in _sizes(name, quick)]
     files = {name: (load or _load)(name) for name in names if name not in own}
+    kernels.load_all()
     opened = context or open_context(device)
     try:
         return _Bench(opened, quick, with_peers, size, progress).run(jobs, files, load or _load, builtin=not names)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from glhybrid.bvh import build_blas, textbook
+from glhybrid.bvh import build_blas
 from glhybrid.scene import F32
 
 
@@ -31,7 +31,9 @@ class Build:
 
 def measure(name: str, corners: F32, repeats: int) -> Build:
     """corners: (T, 3, 3). Medians; the cache of trees is not asked."""
-    build_blas(corners[:2000])  # loads or compiles the kernels
+    from glhybrid.bvh import textbook  # Numba: what else is of use here does without
+
+    build_blas(corners[:2000])  # loads the kernels
     cpu, wall = [], []
     for _ in range(repeats):
         start = time.process_time()

@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from glhybrid import console
+from glhybrid import console, kernels
 from glhybrid import pose as posing
 from glhybrid.bench import clock, movers
 from glhybrid.bench.clock import cores
@@ -149,6 +149,7 @@ def run(
             raise SettingError(
                 f"{name}: no clip of it changes a shape, so there is no tree to refit: name another scene"
             )
+    kernels.load_all()
     with Renderer(device=device, context=context) as renderer:
         software = renderer.context.device.software
         size = size or ((480, 270) if software else (1920, 1080))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from glhybrid import kernels
 from glhybrid.bench import clock, scenes
 from glhybrid.bench.frames import HOST_SIZE, host_seconds, steady_frame
 from glhybrid.bench.report import machine
@@ -169,6 +170,7 @@ def run(
 
     values: other values than VALUES.
     """
+    kernels.load_all()
     software = context.device.software
     chosen = values or (QUICK if quick else VALUES)
     size = size or ((320, 180) if software else (1920, 1080))

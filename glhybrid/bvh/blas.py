@@ -25,6 +25,7 @@ from glhybrid.bvh import presplit, sweep
 from glhybrid.bvh.check import check_structure, leaf_boxes, refuse, refuse_gaps, split_slots
 from glhybrid.bvh.fragments import LEAF, Grown, box_fragments, identity, make_grid
 from glhybrid.errors import GeometryError
+from glhybrid.kernels import TREES
 from glhybrid.scene import F32, F64, U16, U32
 
 TRIANGLE, SPHERE = 0, 1
@@ -32,6 +33,7 @@ MAX_SLOTS = 1 << 27  # 27 bits of a leaf's reference
 MAX_NODES = 1 << 31
 MAX_COORDINATE = 1e18  # past this, products of two coordinates overflow float32 in the triangle test
 SMALL = 1024  # up to this many primitives NumPy builds the tree, in less time than Numba takes to import
+SWEEP_S = 5e-6  # that it takes for one
 PAD = 5e-7  # of the largest |coordinate|: 8 ulp, the rounding of a rotated and moved ray
 
 
@@ -41,6 +43,7 @@ class Blas:
 
     depth: inner nodes on the longest way to a leaf; traversal needs depth + 1 stack entries and a sentinel.
     sah_cost: relative to the root's area, a node and a triangle at 1 each, of the boxes as they are stored.
+    quick: the compiled builder would have made a better one, but was not compiled; another run is to build it anew.
     """
 
     nodes: U32
@@ -51,6 +54,7 @@ class Blas:
     depth: int
     sah_cost: float
     build_ms: float
+    quick: bool = False
 
     @property
     def nbytes(self) -> int:
@@ -126,7 +130,8 @@ def build_blas(
     split: bool = False,
     threads: int | None = None,
 ) -> Blas:
-    """The tree over triangles and analytic spheres of one mesh, by SAH. The same input gives the same tree.
+    """The tree over triangles and analytic spheres of one mesh, by SAH. The same input gives the same tree, but for
+    `Blas.quick` where the compiled builder is still to be compiled (kernels.py).
 
     position: (T, 3, 3) float32, object space, metres; triangle, geometry: (T,) uint32, default 0..T-1 and 0.
     spheres: (K, 4) float32 centre and radius, with their own ids, default 0..K-1 and 0.
@@ -158,7 +163,8 @@ def build_blas(
     pad = PAD * float(np.maximum(np.abs(low), np.abs(high)).max())
     grid = make_grid(low, high, pad)
     around = box_fragments(reach[0] - pad, reach[1] + pad, *grid, first_id=flat)
-    if total <= SMALL:
+    quick = total > SMALL and not TREES.pay(total * SWEEP_S, better=True)
+    if quick or total <= SMALL:
         corners = position.astype(np.float64)
         fragments = box_fragments(corners.min(1) - pad, corners.max(1) + pad, *grid)
         fragments = np.concatenate([fragments, around])
@@ -166,6 +172,7 @@ def build_blas(
         slots = np.concatenate([_triangle_slots(position, *ids), _sphere_slots(spheres, *sphere_ids)])
         slots = slots[identity(fragments)]
     else:
+        TREES.load()
         from glhybrid.bvh import leaves
 
         workers = threads_available() if threads is None else threads
@@ -186,7 +193,7 @@ def build_blas(
             order = identity(fragments)
             slots[order >= flat] = _sphere_slots(spheres, *sphere_ids)[order[order >= flat] - flat]
     milliseconds = 1e3 * (time.perf_counter() - started)
-    return Blas(tree.nodes, slots, *grid, np.stack([low, high]), tree.depth, tree.cost, milliseconds)
+    return Blas(tree.nodes, slots, *grid, np.stack([low, high]), tree.depth, tree.cost, milliseconds, quick)
 
 
 def _grow(fragments: U16, centroids: U16, grid_step: F32, max_leaf: int, reinsert: bool, workers: int) -> Grown:

@@ -66,7 +66,8 @@ def load_or_build(
     blas = read(path, key, started, workers)
     if blas is None:
         blas = build_blas(*given, max_leaf=max_leaf, reinsert=reinsert, split=split, threads=threads)
-        write(path, key, blas, workers)
+        if not blas.quick:
+            write(path, key, blas, workers)
     return blas
 
 

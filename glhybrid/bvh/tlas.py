@@ -11,10 +11,12 @@ from glhybrid.bvh.blas import MAX_SLOTS, PAD, threads_available
 from glhybrid.bvh.check import check_structure, leaf_boxes, refuse
 from glhybrid.bvh.fragments import LEAF, box_fragments, identity, make_grid
 from glhybrid.errors import GeometryError
+from glhybrid.kernels import TREES
 from glhybrid.scene import F32, F64, U32
 
 SMALL = 256  # up to this many instances NumPy builds a good tree while Numba would be imported,
 FEW = 8  # and up to this many it does so every frame
+SWEEP_S = 5e-4, 5e-6  # that it takes, and for each instance
 # The empty child of a single instance, which must not be entered twice. In lib/bvh.glsl: back to the world's ray;
 # nothing to do for one that is there already.
 REF_RETURN = 0xFFFFFFFE
@@ -81,9 +83,11 @@ def build_tlas(boxes: F32 | F64, moving: bool = False, threads: int | None = Non
     started = time.perf_counter()
     boxes, grid, pad = _checked(boxes)
     fragments = box_fragments(boxes[:, 0] - pad, boxes[:, 1] + pad, *grid)
-    if len(boxes) <= (FEW if moving else SMALL):
+    few = len(boxes) <= (FEW if moving else SMALL)
+    if few or not TREES.pay(SWEEP_S[0] + len(boxes) * SWEEP_S[1], better=not moving):
         tree = sweep.grow_tree(fragments, grid[1], max_leaf=1)
     else:
+        TREES.load()
         from glhybrid.bvh import build, leaves, reinsert
 
         workers = threads_available() if threads is None else threads

@@ -1,28 +1,25 @@
 """A top-level tree in motion, compiled: refitted whole, or along the paths from what has moved to the root.
 
-Import it only where something moves. The grid that boxes are rounded to stays as it is for as long as they lie in it,
-so that one that moves concerns its own leaf and what is above; it is made with room around.
+Small trees begin with the same functions as plain Python (kernels.py). The grid that boxes are rounded to stays as it
+is for as long as they lie in it, so that one that moves concerns its own leaf and what is above; it is made with room
+around.
 """
 
 import numpy as np
-from numba import njit, types
 
 from glhybrid.bvh.blas import PAD
 from glhybrid.bvh.fragments import LEAF, make_grid
 from glhybrid.bvh.tlas import REF_RETURN, Tlas, check_boxes
-from glhybrid.jit import kernel
+from glhybrid.kernels import MOTION
 from glhybrid.scene import F32, F64
 
 ROOM = 1 / 8  # of the boxes' extent, that a grid leaves on every side
 MOST_ROOM = 8  # times the boxes' extent, that a grid may be as large as for where they have been
 TOGETHER = 6  # levels of a treelet, up to 63 nodes of 32 bytes
 LOOK_EVERY = 64  # refits: whether the boxes still need so large a grid
-_f1, _f2, _f3 = (types.Array(types.float64, n, "C", readonly=True) for n in (1, 2, 3))
-_i1 = types.Array(types.int64, 1, "C", readonly=True)
-_nodes = types.uint32[:, ::1]
 
 
-@njit
+@MOTION.helper
 def _fit(boxes, row, zero, low, cells, words):  # type: ignore[no-untyped-def]
     """The words of a child that is instance `row`, rounded outward as fragments.quantise does; False if it is not in
     the grid, or nowhere. low: (2, 3), the grid's corner from zero, with the padding for lower and upper sides."""
@@ -35,7 +32,7 @@ def _fit(boxes, row, zero, low, cells, words):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit
+@MOTION.helper
 def _join(nodes, node, words):  # type: ignore[no-untyped-def]
     """The words of a child that is an inner node."""
     alone = nodes[node, 7] == REF_RETURN
@@ -45,7 +42,7 @@ def _join(nodes, node, words):  # type: ignore[no-untyped-def]
         words[axis] = np.uint32(min(left & 65535, right & 65535) | max(left >> 16, right >> 16) << 16)
 
 
-@njit
+@MOTION.helper
 def _area(words, cells):  # type: ignore[no-untyped-def]
     """Half the surface of a child's box."""
     x = (np.int64(words[0] >> 16) - np.int64(words[0] & 65535)) / cells[0]
@@ -54,7 +51,7 @@ def _area(words, cells):  # type: ignore[no-untyped-def]
     return x * y + y * z + z * x
 
 
-@njit
+@MOTION.helper
 def _cost(total, nodes, cells):  # type: ignore[no-untyped-def]
     """SAH cost, node and leaf at 1, from the sum over all children."""
     words = np.empty(3, np.uint32)
@@ -62,7 +59,7 @@ def _cost(total, nodes, cells):  # type: ignore[no-untyped-def]
     return total / _area(words, cells) + 1
 
 
-@kernel(types.void(_nodes, types.int64, types.int64[::1], types.int64[::1]))
+@MOTION.kernel("void(uint32[:, ::1], int64, int64[::1], int64[::1])")
 def link(nodes, first, parent, leaf):  # type: ignore[no-untyped-def]
     """Where each node (N,), and each instance (I,), is a child: 2 * node + which of the two. first: of refs."""
     for node in range(len(nodes)):
@@ -76,7 +73,7 @@ def link(nodes, first, parent, leaf):  # type: ignore[no-untyped-def]
                 parent[ref - first] = 2 * node + child
 
 
-@kernel(types.boolean(_f3, _f1, _f2, _f1, types.int64, _nodes, types.float64[::1]))
+@MOTION.kernel("boolean(f3, f1, f2, f1, int64, uint32[:, ::1], float64[::1])")
 def sweep(boxes, zero, low, cells, first, nodes, total):  # type: ignore[no-untyped-def]
     """Boxes (I, 2, 3) into all nodes (N, 8), children before parents; False if one is not in the grid.
 
@@ -100,11 +97,7 @@ def sweep(boxes, zero, low, cells, first, nodes, total):  # type: ignore[no-unty
     return True
 
 
-@kernel(
-    types.int64(
-        _f3, _i1, _i1, _i1, _f1, _f2, _f1, _nodes, types.float64[::1], types.uint8[::1], types.int64[::1],
-    )
-)  # fmt: skip
+@MOTION.kernel("int64(f3, i1, i1, i1, f1, f2, f1, uint32[:, ::1], float64[::1], uint8[::1], int64[::1])")
 def climb(boxes, rows, leaf, parent, zero, low, cells, nodes, total, marks, touched):  # type: ignore[no-untyped-def]
     """The same for instances `rows` that have moved: from each leaf up, as far as boxes change.
 
@@ -145,7 +138,7 @@ def climb(boxes, rows, leaf, parent, zero, low, cells, nodes, total, marks, touc
     return count
 
 
-@kernel(types.void(_f3, types.float64[:, ::1]))
+@MOTION.kernel("void(f3, float64[:, ::1])")
 def extent(boxes, out):  # type: ignore[no-untyped-def]
     """(2, 3) of all boxes."""
     out[0], out[1] = np.inf, -np.inf
@@ -155,7 +148,7 @@ def extent(boxes, out):  # type: ignore[no-untyped-def]
             out[1, axis] = max(out[1, axis], boxes[row, 1, axis])
 
 
-@kernel(types.void(types.Array(types.uint32, 2, "C", readonly=True), types.int64[::1]))
+@MOTION.kernel("void(u2, int64[::1])")
 def treelets(nodes, order):  # type: ignore[no-untyped-def]
     """All rows of nodes (N, 8), root first, TOGETHER levels of a subtree next to each other, parents before children:
     a way from a leaf to the root then lies in few places, each one write."""

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from glhybrid import techniques
+from glhybrid import kernels, techniques
 from glhybrid.bvh.blas import threads_available
 from glhybrid.image import Frame
 from glhybrid.renderer import Renderer
@@ -73,6 +73,7 @@ def run(
     for scene in scenes.values():
         choose_camera(scene, camera)
     store.prepare(output)
+    kernels.load_all()
     with Renderer(device=device, keep_programs=True) as renderer:
         software = renderer.context.device.software
         efforts = [
