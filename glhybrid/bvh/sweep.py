@@ -139,9 +139,10 @@ def _split(lanes: U16, ranges: _Ranges, owner: Any, inside: Any, step: F64, dept
     cells, at = step.astype(np.float32)[:, None, None], np.arange(length, dtype=np.uint64)
     bases = number * np.uint32(2) + np.uint32(65535), backward * np.uint32(2) + np.uint32(65535)
     best = _Splits(
-        np.full(len(count), np.inf, np.float32), np.zeros_like(rows), np.ones_like(rows),
+        np.empty(len(count), np.float32), np.zeros_like(rows), np.ones_like(rows),
         np.zeros((6, 2, len(count)), np.uint16),
     )  # fmt: skip
+    lowest = np.full(len(count), 2**64 - 1, np.uint64)
     for axes in ALL if length <= SHORT else EACH:
         boxes = lanes.take(order[axes], axis=1)
         before = np.maximum.accumulate(boxes | number, axis=2)
@@ -153,14 +154,11 @@ def _split(lanes: U16, ranges: _Ranges, owner: Any, inside: Any, step: F64, dept
         keys = np.minimum.reduceat(costs.view(np.uint32).astype(np.uint64) << np.uint64(32) | at, start, axis=1)
         axis = keys.argmin(0)
         keys = keys[axis, rows]
-        cost, place = (
-            (keys >> np.uint64(32)).astype(np.uint32).view(np.float32),
-            keys.astype(np.uint32).astype(np.int64),
-        )
-        some = cost < best.cost
-        axis, place = axis[some], place[some]
-        best.cost[some], best.axis[some], best.left[some] = cost[some], axes.start + axis, inside[place]
+        some = keys < lowest
+        lowest[some], axis, place = keys[some], axis[some], keys[some].astype(np.uint32).astype(np.int64)
+        best.axis[some], best.left[some] = axes.start + axis, inside[place]
         best.boxes[:, 0, some], best.boxes[:, 1, some] = before[:, axis, place], after[:, axis, length - 2 - place]
+    best.cost[:] = (lowest >> np.uint64(32)).astype(np.uint32).view(np.float32)
     return best
 
 

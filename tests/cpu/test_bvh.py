@@ -8,7 +8,7 @@ import pytest
 from bvh_shapes import SHAPES, Triangles, axis_rays, chain, needles, progression, rays, same, soup
 
 from glhybrid import reference
-from glhybrid.bvh import Blas, blas, build_blas, build_tlas, pack, presplit, reinsert, textbook
+from glhybrid.bvh import Blas, blas, build_blas, build_tlas, pack, presplit, reinsert, sweep, textbook
 from glhybrid.bvh.fragments import LEAF, MEDIAN_DEPTH
 from glhybrid.errors import GeometryError
 
@@ -20,8 +20,6 @@ def test_tree_is_valid_and_finds_what_brute_force_finds(
     shape: str, seed: int, builder: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     triangles = SHAPES[shape](seed)
-    if builder == "numpy" and len(triangles) > 4000:
-        pytest.skip("NumPy builds small trees only")
     monkeypatch.setattr(blas, "SMALL", len(triangles) if builder == "numpy" else 0)
     tree = build_blas(triangles)
     tree.validate()
@@ -162,10 +160,26 @@ def test_depth_is_bounded(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
         assert build_blas(triangles).depth <= 24
     from glhybrid.bvh import build
 
-    monkeypatch.setattr(build, "MEDIAN_DEPTH", 3)  # from there on, halves
+    for small, module, more in ((0, build, reinsert.DEEPER), (len(triangles), sweep, 0)):
+        monkeypatch.setattr(blas, "SMALL", small)
+        monkeypatch.setattr(module, "MEDIAN_DEPTH", 3)  # from there on, halves
+        tree = build_blas(triangles)
+        tree.validate()
+        assert tree.depth <= 3 + np.ceil(np.log2(len(triangles))) + more
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_builder_without_a_compiler_makes_trees_as_cheap(shape: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    triangles = SHAPES[shape](6)
+    monkeypatch.setattr(blas, "SMALL", 0)
+    compiled = build_blas(triangles, reinsert=False)
+    monkeypatch.setattr(blas, "SMALL", len(triangles))
     tree = build_blas(triangles)
-    tree.validate()
-    assert tree.depth <= 3 + np.ceil(np.log2(len(triangles))) + reinsert.DEEPER
+    assert tree.sah_cost <= 1.03 * compiled.sah_cost and tree.depth <= compiled.depth + 2
+    monkeypatch.setattr(sweep, "TOGETHER", 64)  # in many passes, one axis at a time: the same tree
+    monkeypatch.setattr(sweep, "SHORT", 16)
+    other = build_blas(triangles)
+    assert np.array_equal(tree.nodes, other.nodes) and np.array_equal(tree.slots, other.slots)
 
 
 @pytest.mark.parametrize("seed", [3])

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from tree_oracle import sah_cost
 
-from glhybrid import bvh, keys, motion, pose
+from glhybrid import bvh, keys, motion, pose, swarm
 from glhybrid.bvh.top import LOOK_EVERY, MovingTop
 from glhybrid.errors import GeometryError
 from glhybrid.gpu_trees import NEAR_NODES, runs
+from glhybrid.kernels import MOTION
 from glhybrid.load.shapes import box
 from glhybrid.scene import Animation, Channel, Instance, Mesh, Node, Scene, Triangles
 
@@ -18,12 +19,12 @@ COUNT = 1500
 WIDTH = {"translation": 3, "rotation": 4, "scale": 3, "weights": 2}
 
 
-def crowd(seed: int = 0) -> Scene:
+def crowd(seed: int = 0, count: int = COUNT) -> Scene:
     """A forest of nodes moved in every way there is: each path and interpolation, keys at other times for each, some
     nodes with a matrix, some instances beside their node, one that is flattened at 0.5 s."""
     rng = np.random.default_rng(seed)
     nodes, channels = [], []
-    for i in range(COUNT):
+    for i in range(count):
         parent = int(rng.integers(0, i)) if i > 9 and rng.uniform() < 0.6 else -1
         matrix = None
         if i % 50 == 49:
@@ -34,11 +35,11 @@ def crowd(seed: int = 0) -> Scene:
             Node(f"n{i}", parent, tuple(rng.normal(size=3)), tuple(turn / np.linalg.norm(turn)), (1, 1.1, 0.9), matrix)
         )
     for i, (path, kind) in enumerate(product(WIDTH, ("STEP", "LINEAR", "CUBICSPLINE"))):
-        for node in range(i % 7, COUNT, 2):
+        for node in range(i % 7, count, 2):
             if nodes[node].matrix is None:
-                count = int(rng.integers(1, 6))
-                times = np.sort(rng.choice(40, count, replace=False) / 20).astype(np.float32)
-                shape = (count, 3, WIDTH[path]) if kind == "CUBICSPLINE" else (count, WIDTH[path])
+                key_count = int(rng.integers(1, 6))
+                times = np.sort(rng.choice(40, key_count, replace=False) / 20).astype(np.float32)
+                shape = (key_count, 3, WIDTH[path]) if kind == "CUBICSPLINE" else (key_count, WIDTH[path])
                 values = rng.normal(1, 0.3, shape).astype(np.float32)
                 channels.append(Channel(node, path, kind, times, values))  # type: ignore[arg-type]
     flat = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.float32)
@@ -46,7 +47,7 @@ def crowd(seed: int = 0) -> Scene:
     world = pose.world_matrices(tuple(nodes))
     beside = np.eye(4)
     beside[:3, 3] = 0.5, 0, 0
-    instances = [Instance(0, world[i] @ beside if i % 3 == 0 else world[i], node=i) for i in range(COUNT)]
+    instances = [Instance(0, world[i] @ beside if i % 3 == 0 else world[i], node=i) for i in range(count)]
     piece = box()
     mesh = Mesh("box", (piece,)) if isinstance(piece, Triangles) else piece
     return Scene("crowd", meshes=(mesh,), nodes=tuple(nodes), instances=tuple(instances),
@@ -78,6 +79,57 @@ def test_compiled_poses_are_those_of_numpy(monkeypatch: pytest.MonkeyPatch) -> N
             np.testing.assert_allclose(weights, want.weights[node], atol=1e-12)
     at_half = made.at(0.5).world_from_object[3]
     assert abs(np.linalg.det(at_half[:3, :3])) > 0  # thin, not flat: it can be inverted
+
+
+@pytest.fixture
+def doubled(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
+    """Has every kernel run as plain Python too, on copies, and compared to the bit. Calls by kernel."""
+    MOTION.load()
+    calls: dict[str, int] = {}
+
+    def twice(kernel: Any) -> Any:
+        compiled, name = kernel._compiled, kernel.plain.__name__
+
+        def call(*args: Any) -> Any:
+            copies = [a.copy() if isinstance(a, np.ndarray) and a.flags.writeable else a for a in args]
+            plain, result = kernel._run(*copies), compiled(*args)
+            assert plain == result, name
+            for a, b in zip(args, copies, strict=True):
+                assert not isinstance(a, np.ndarray) or a.tobytes() == b.tobytes(), name
+            calls[name] = calls.get(name, 0) + 1
+            return result
+
+        return call
+
+    for kernel in MOTION._kernels:
+        monkeypatch.setattr(kernel, "_compiled", twice(kernel))
+    return calls
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_kernels_give_the_bits_of_plain_python(seed: int, doubled: dict[str, int]) -> None:
+    """Small scenes begin as plain Python and may go on compiled; frame N is the same either way."""
+    scene, rng = crowd(seed, 70), np.random.default_rng(seed)
+    made = motion.Motion(scene, scene.animations[0])
+    world = made.resting()
+    for t in (-1.0, *rng.uniform(0, 2, 6).tolist(), 0.5, 9.0):
+        made.at(t, world)
+        made._player.run(t)
+    count = len(world)
+    words = np.zeros((count, swarm.layout.dtype("Instance").itemsize // 4), np.float32)
+    ids, meshes = rng.permutation(count), np.zeros(count, np.uint32)
+    world[rng.integers(0, count, 20), 0] *= -1
+    inverse, flipped, boxes = np.zeros((count, 3, 3)), np.zeros(count, np.uint8), np.zeros((count, 2, 3))
+    bounds, origin, every = np.sort(rng.normal(size=(1, 2, 3)), axis=1), rng.normal(size=3), np.arange(count)
+    args = (world, ids, bounds, meshes, every, 0, count, origin, swarm.FLAG, np.zeros(words.shape, np.uint32), words)
+    assert swarm.place(*args, inverse, flipped, boxes) == flipped.sum() > 0
+    swarm.rebase(world, ids, inverse, origin * 1e5, 0, count, words)
+    top = MovingTop(bvh.build_tlas(boxes, moving=True), 9)
+    for step in range(2 * LOOK_EVERY):
+        moved = np.sort(rng.choice(count, 1 + step % 5, replace=False))
+        boxes[moved] += rng.normal(0, 100 if step % 20 == 19 else 0.1, (len(moved), 1, 3))
+        top.refit(boxes, moved)
+    assert doubled.keys() == {kernel.plain.__name__ for kernel in MOTION._kernels}
 
 
 def test_a_node_that_is_nowhere_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
