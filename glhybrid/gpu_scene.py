@@ -28,7 +28,7 @@ _CAUSE = {"Lights": "lights", "Materials": "materials", "Textures": "textures", 
 
 NEAR_ROWS, MOST_WRITES = 16, 12  # of Instances: rows so near go in one write, and more writes than that as one
 TEXELS_A_TRIANGLE = 3  # in leaves
-NO_TREES = {"nodes": 0, "depth": 0, "sah_cost": 0.0, "build_ms": 0.0, "bytes": 0, "quick": False}
+NO_TREES = {"nodes": 0, "depth": 0, "sah_cost": 0.0, "build_ms": 0.0, "bytes": 0}
 
 
 def check_room(scene: Scene, levels: int, context: Context) -> None:

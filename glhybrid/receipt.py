@@ -39,7 +39,7 @@ def make(staged: "Staged", view: View, timing: Timing, first_image_ms: float) ->
         },
         "plan": {
             "passes": list(plan.passes), "programs": staged.shaders.names, "primary": plan.primary,
-            "levels": upload.geometry.levels, "reasons": [*plan.reasons, *[kernels.QUICK] * trees["quick"]],
+            "levels": upload.geometry.levels, "reasons": [*plan.reasons, *[kernels.QUICK] * trees.get("quick", False)],
             "image_bytes": upload.image_bytes + sum(part.bytes for part in images),
             "buffer_bytes": upload.buffer_bytes + staged.constants.buffer.size
             + (mover.bytes if mover is not None else 0),
