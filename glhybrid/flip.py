@@ -95,23 +95,28 @@ class Flip:
         error = self.compare(self._images["picture"], reference)
         return np.frombuffer(error.read(), np.float32).reshape(height, width)
 
-    def compare(self, picture: Any, reference: Reference) -> Any:
-        """The map as a texture, gone with the next; picture: a texture of the reference's size."""
+    def ldr(self, picture: Any, want: Any) -> Any:
+        """LDR-FLIP of two textures in sRGB, 0 to 1: the map as a texture, gone with the next."""
         self._work_at(picture.size)
-        pixels, images = picture.width * picture.height, self._images
-        keeps = pixels * BYTES_A_PIXEL * len(reference.exposures) <= KEPT_BYTES
+        reference = Reference(want, (0.0,))
+        return self._compare(picture, reference, keeps=False)
+
+    def compare(self, picture: Any, reference: Reference) -> Any:
+        """The map as a texture, gone with the next; picture: a texture of the reference's size, which is not black."""
+        self._work_at(picture.size)
+        room = picture.width * picture.height * BYTES_A_PIXEL * len(reference.exposures)
+        return self._compare(picture, reference, keeps=room <= KEPT_BYTES)
+
+    def _compare(self, picture: Any, reference: Reference, keeps: bool) -> Any:
         for i, exposure in enumerate(reference.exposures):
-            if not keeps:
-                kept = self._pair()
-            elif i < len(reference.kept):
-                kept = reference.kept[i]
-            else:
-                reference.kept.append(kept := self._new_pair())
+            there = keeps and i < len(reference.kept)
+            kept = reference.kept[i] if there else self._new_pair() if keeps else self._pair()
+            if not there:
                 self._see(reference.picture, exposure, reference, kept, 0, 0)
-            if not keeps:
-                self._see(reference.picture, exposure, reference, kept, 0, 0)
+            if keeps and not there:
+                reference.kept.append(kept)
             self._see(picture, exposure, reference, kept, 1, int(i > 0))
-        return images["error"]
+        return self._images["error"]
 
     def _see(
         self, picture: Any, exposure: float, reference: Reference, kept: tuple[Any, Any], compares: int, goes_on: int

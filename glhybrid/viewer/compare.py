@@ -1,16 +1,13 @@
-"""How far a displayed picture is from another: numbers and a map of differences by the GPU, FLIP in a process aside."""
+"""How far a displayed picture is from another: numbers and maps, by the device that drew them."""
 
-import importlib
-import multiprocessing
-from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from glhybrid.context import Context
+from glhybrid.flip import Flip
 from glhybrid.needs import Features
-from glhybrid.scene import F32, U8
 from glhybrid.shaders import Shaders
 from glhybrid.viewer import views
 from glhybrid.viewer.picture import Picture
@@ -20,7 +17,7 @@ FLIP_UNIT = "equal ... as unlike as can be"
 
 @dataclass(frozen=True)
 class Error:
-    """flip: mean of NVIDIA's FLIP of the displayed images, 0 to 1, None where flip-evaluator is missing.
+    """flip: mean FLIP of the displayed images, 0 to 1, None where it was not asked for.
 
     psnr: dB of the displayed images. rel_mse: mean over pixels of |a - r|^2 / (|r|^2 + 0.01), linear radiance.
     """
@@ -37,15 +34,16 @@ class Differ:
     palette: 256 colours, 256 x 1.
     """
 
-    def __init__(self, context: Context, shaders: Shaders, palette: Any) -> None:
-        self._context, self._shaders, self._palette = context, shaders, palette
+    def __init__(self, context: Context, shaders: Shaders, flip: Flip, palette: Any) -> None:
+        self._context, self._shaders, self._flip, self._palette = context, shaders, flip, palette
         self._sums: Any = None
         self._maps: dict[str, Any] = {}
 
     def prepare(self) -> None:
         """Compiles what is not yet."""
-        for stem in ("errors", "difference"):
+        for stem in ("errors", "difference", "heat"):
             self._shaders.compute(stem, Features())
+        self._flip.prepare()
 
     def error(self, ours: Picture, theirs: Picture) -> Error:
         """All but FLIP. Of pictures of one size that were brought to display."""
@@ -68,12 +66,7 @@ class Differ:
 
     def map(self, name: str, ours: Picture, theirs: Picture, gain: float) -> tuple[Any, views.Legend]:
         """(texture, legend) of the largest difference over channels; it is drawn over at the next call of this name."""
-        image = self._maps.get(name)
-        if image is None or image.size != ours.size:
-            if image is not None:
-                image.release()
-            image = self._maps[name] = self._context.gl.texture(ours.size, 4)
-            image.repeat_x = image.repeat_y = False
+        image = self._image(name, ours.size)
         self._shaders.compute("difference", Features()).dispatch(
             {"ours": ours.display, "theirs": theirs.display, "out_difference": image, "palette": self._palette,
              "gain": gain},
@@ -81,65 +74,27 @@ class Differ:
         )  # fmt: skip
         return image, views.Scale(0.0, 255.0 / gain, "levels of 255", "magma")
 
+    def flip(self, name: str, ours: Picture, theirs: Picture) -> tuple[Any, float]:
+        """(texture, mean) of FLIP; it is drawn over at the next call of this name."""
+        error = self._flip.ldr(ours.display, theirs.display)
+        image = self._image(name, ours.size)
+        self._shaders.compute("heat", Features()).dispatch(
+            {"values": error, "out_heat": image, "palette": self._palette}, ours.size
+        )
+        return image, float(np.frombuffer(error.read(), np.float32).mean(dtype=np.float64))
+
+    def _image(self, name: str, size: tuple[int, int]) -> Any:
+        image = self._maps.get(name)
+        if image is None or image.size != size:
+            if image is not None:
+                image.release()
+            image = self._maps[name] = self._context.gl.texture(size, 4)
+            image.repeat_x = image.repeat_y = False
+        return image
+
     def release(self) -> None:
+        self._flip.release()
         for image in (*self._maps.values(), *([self._sums] if self._sums is not None else [])):
             image.release()
         self._maps.clear()
         self._sums = None
-
-
-def has_flip() -> bool:
-    """Whether `pip install glhybrid[study]` was done: FLIP is optional."""
-    try:
-        importlib.import_module("flip_evaluator")
-    except ImportError:
-        return False
-    return True
-
-
-def flip(rgb: U8, reference: U8) -> tuple[F32, float]:
-    """FLIP's error map (H, W) float32 and its mean: Andersson et al. 2020, LDR, 67 pixels a degree. (H, W, 3 or 4)."""
-    import flip_evaluator
-
-    test, truth = (np.ascontiguousarray(image[..., :3], np.float32) / 255 for image in (rgb, reference))
-    error, mean, _ = flip_evaluator.evaluate(truth, test, "LDR", applyMagma=False)
-    return np.asarray(error, np.float32).reshape(rgb.shape[:2]), float(mean)
-
-
-def flip_picture(rgb: U8, reference: U8) -> tuple[U8, float]:
-    """FLIP's map as colours, (H, W, 4) uint8, and its mean."""
-    error, mean = flip(rgb, reference)
-    return views.opaque(views.heat(error, 1.0, FLIP_UNIT)[0]), mean
-
-
-class Worker:
-    """FLIP in a process of its own: at 1920x1080 it takes half a second, and holds Python's lock."""
-
-    def __init__(self) -> None:
-        self._pool: ProcessPoolExecutor | None = None
-        self._flip: tuple[Any, Future[tuple[U8, float]]] | None = None
-
-    @property
-    def busy(self) -> bool:
-        """Whether a result is on its way, or waits for flipped()."""
-        return self._flip is not None
-
-    def start(self, key: Any, rgb: U8, reference: U8) -> None:
-        """flip_picture() aside. key: given back with the result. Only while not `busy`."""
-        assert self._flip is None
-        if self._pool is None:
-            self._pool = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
-        self._flip = key, self._pool.submit(flip_picture, rgb, reference)
-
-    def flipped(self, wait: bool = False) -> tuple[Any, U8, float] | None:
-        """(key, picture, mean) once; None while there is nothing new. Raises what the work raised."""
-        if self._flip is None or not (wait or self._flip[1].done()):
-            return None
-        (key, future), self._flip = self._flip, None
-        return key, *future.result()
-
-    def close(self) -> None:
-        """Waits for the work under way; its result is lost."""
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
-            self._pool = None

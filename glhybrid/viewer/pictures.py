@@ -114,9 +114,7 @@ class Pictures:
     @property
     def busy(self) -> bool:
         """Whether there will be more to show without any input."""
-        return self._stuck is None and (
-            self._moving or self._next() is not None or self.measure.busy or self.painted.busy
-        )
+        return self._stuck is None and (self._moving or self._next() is not None or self.painted.busy)
 
     def update(self, size: tuple[int, int]) -> bool:
         """Draws for a slice of time; whether anything to show has changed.
@@ -323,7 +321,7 @@ class Pictures:
             if self._moving:
                 changed |= self.measure.draw_map(side, (version, ours.done, theirs.done), ours, theirs)
             elif ours.finished or ours is theirs:
-                changed |= self.measure.update(side, version, ours, theirs)
+                changed |= self.measure.update(side, version, ours, theirs, self._turn_for(ours))
         return changed
 
     def _present(self, *sides: Side) -> None:
@@ -332,10 +330,8 @@ class Pictures:
             self.picture(side).show(self._exposure_for(side))
 
     def settle(self) -> None:
-        """Waits for the errors."""
+        """Waits for what is painted in another thread."""
         self.painted.take(wait=True)
-        while self.measure.settle():
-            self._measure()
 
     # Failures
 
@@ -367,7 +363,7 @@ class Pictures:
         self.budget = Budget.of(self._software)
 
     def close(self) -> None:
-        """Ends threads and processes. The textures are the viewer's."""
+        """Ends threads. The textures are the viewer's."""
         self.painted.close()
         self.measure.close()
 

@@ -1,7 +1,7 @@
 // passes/flip_across.comp -- FLIP's filters along rows, of a picture as it is seen at one exposure.
 #include "lib/flip.glsl"
+#include "lib/tile.glsl"
 
-layout(local_size_x = 8, local_size_y = 8) in;
 uniform sampler2D picture;                   // linear light, or sRGB
 uniform float scale, most;                   // of all light; of what comes of that
 uniform float exposure;                      // a factor; 0: what a screen is given, in sRGB
@@ -42,7 +42,7 @@ void filtered(const int k, ivec2 at, ivec2 last) {
 }
 
 void main() {
-    ivec2 first = ivec2(gl_GlobalInvocationID.x * uint(BLOCK), gl_GlobalInvocationID.y), last = textureSize(picture, 0) - 1;
+    ivec2 first = tile_pixel() * ivec2(BLOCK, 1), last = textureSize(picture, 0) - 1;
     if (any(greaterThan(first, last))) return;                             // groups overhang the edge
 #define FETCH(i) line[i] = seen(first + ivec2(i - REACH, 0), last);
     EACH_IN_LINE(FETCH)

@@ -1,8 +1,8 @@
 // passes/flip_down.comp -- FLIP's filters along columns, and what comes of them: colours and edges as they are seen. Those
 // of the reference are kept; those of a picture are held against them, and the largest error of all exposures stays.
 #include "lib/flip.glsl"
+#include "lib/tile.glsl"
 
-layout(local_size_x = 8, local_size_y = 8) in;
 uniform sampler2D colour, edges;
 uniform int compares;                        // 0: this is the reference
 uniform int goes_on;                         // 1: there are errors of other exposures
@@ -48,7 +48,7 @@ void conclude(ivec2 at, ivec2 last, vec3 lab, vec2 strength) {
 }
 
 void main() {
-    ivec2 first = ivec2(gl_GlobalInvocationID.x, gl_GlobalInvocationID.y * uint(BLOCK)), last = textureSize(colour, 0) - 1;
+    ivec2 first = tile_pixel() * ivec2(1, BLOCK), last = textureSize(colour, 0) - 1;
     if (any(greaterThan(first, last))) return;                             // groups overhang the edge
     vec3 lab[BLOCK];
 #define FETCH_COLOUR(i) line[i] = texelFetch(colour, clamp(first + ivec2(0, i - REACH), ivec2(0), last), 0);

@@ -90,7 +90,7 @@ def test_the_difference_of_two_techniques_is_shown_in_motion(open_viewer: Open) 
 
 
 def test_flip_is_the_authors(open_viewer: Open) -> None:
-    flip_evaluator = pytest.importorskip("flip_evaluator", reason="the extra `study` is not installed")
+    flip_evaluator = pytest.importorskip("flip_evaluator", reason="the authors' flip-evaluator is not installed")
     viewer = open_viewer("yard", size=(64, 48), a=Settings(shadows="none"), b=Settings(), mode="flip", against="b")
     viewer.settle()
     ours, theirs = (viewer.pictures.sides[side].rgb().astype(np.float32) / 255 for side in ("a", "b"))
