@@ -28,7 +28,8 @@ if TYPE_CHECKING:
         ShaderError,
     )
     from glhybrid.image import AOVS, Frame
-    from glhybrid.load import load
+    from glhybrid.load import load, with_defaults
+    from glhybrid.load.arrays import mesh
     from glhybrid.renderer import Renderer
     from glhybrid.scene import Camera, Environment, Instance, Light, Material, Mesh, Scene, Sphere, Triangles
     from glhybrid.settings import Settings
@@ -40,7 +41,8 @@ _HOME = {
         "DeviceError", "GeometryError", "GlhybridError", "LoadError", "OutputError", "SettingError", "ShaderError",
     ),
     "image": ("AOVS", "Frame"),
-    "load": ("load",),
+    "load": ("load", "with_defaults"),
+    "load.arrays": ("mesh",),
     "renderer": ("Renderer",),
     "scene": ("Camera", "Environment", "Instance", "Light", "Material", "Mesh", "Scene", "Sphere", "Triangles"),
     "settings": ("Settings",),
@@ -73,7 +75,9 @@ __all__ = [
     "Triangles",
     "__version__",
     "load",
+    "mesh",
     "open_context",
+    "with_defaults",
 ]
 
 

@@ -11,7 +11,9 @@ from typing import Any, get_args
 import numpy as np
 
 from glhybrid.errors import SettingError
+from glhybrid.mesh_checks import check_meshes
 from glhybrid.scene import AlphaMode, Camera, Environment, Light, Material, Scene, Sphere
+from glhybrid.settings import Settings
 from glhybrid.view import View
 
 FARTHEST = 1e12  # m: as geometry.LARGEST
@@ -49,7 +51,10 @@ _MATERIALS: dict[str, Rule] = {
 
 
 def check_scene(scene: Scene) -> None:
-    """Raises SettingError naming the first light, material, instance, matrix or texel that cannot be drawn."""
+    """Raises SettingError naming the first light, material, instance, matrix or texel that cannot be drawn.
+
+    GeometryError for arrays of meshes (mesh_checks.py).
+    """
     _refuse(scene, "light", scene.lights, _LIGHTS)
     for number, light in enumerate(scene.lights):
         length = float(np.linalg.norm(np.asarray(light.direction, np.float64)))
@@ -72,13 +77,15 @@ def check_scene(scene: Scene) -> None:
                 f"{scene.name}: {_named('probe', number, probe)}: position {probe.position} must lie in the box from "
                 f"{probe.low} to {probe.high}"
             )
+    check_meshes(scene)
     meshes, materials = len(scene.meshes), len(scene.materials)
     for number, instance in enumerate(scene.instances):
         what = f'{scene.name}: instance {number} "{instance.name}"'
         if not 0 <= instance.mesh < meshes:
             raise SettingError(f"{what}: mesh = {instance.mesh}: there are {meshes}, numbered from 0")
-        if np.shape(instance.world_from_object) != (4, 4):
-            raise SettingError(f"{what}: world_from_object is {np.shape(instance.world_from_object)}, not (4, 4)")
+        if not isinstance(instance.world_from_object, np.ndarray) or instance.world_from_object.shape != (4, 4):
+            given = np.shape(instance.world_from_object)
+            raise SettingError(f"{what}: world_from_object is {given}, not a NumPy array of shape (4, 4)")
         if instance.materials:
             pieces = len(scene.meshes[instance.mesh].primitives)
             if len(instance.materials) != pieces:
@@ -160,6 +167,14 @@ def _check_sky(name: str, sky: Environment) -> None:
             f"{name}: environment: texel ({row}, {column}) = {sky.radiance[row, column].tolist()}: must be from 0 to "
             f"{BRIGHTEST:g}: mend the image, such as with numpy.nan_to_num"
         )
+
+
+def check_kinds(scene: object, settings: object) -> None:
+    """Raises SettingError for what is no Scene or no Settings: a file's name, a dictionary."""
+    if not isinstance(scene, Scene):
+        raise SettingError(f"scene = {scene!r:.80}: must be a Scene, such as glhybrid.load gives for a file's name")
+    if not isinstance(settings, Settings):
+        raise SettingError(f'settings = {settings!r:.80}: must be Settings, such as Settings(shadows="ray")')
 
 
 def check_size(size: tuple[int, int]) -> None:

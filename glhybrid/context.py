@@ -10,6 +10,7 @@ A driver is believed only after a compute dispatch gave the right numbers: some 
 
 import logging
 import os
+import threading
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -26,6 +27,8 @@ from glhybrid.osmesa import OsmesaContext
 from glhybrid.program_cache import ProgramCache
 
 log = logging.getLogger("glhybrid")
+_thread = threading.local()  # .context: the Context that was made current in it last
+_drivers: list[int] = []  # the process that first loaded them; a fork inherits it, but not their threads
 
 REQUIRED_VERSION = (4, 3)
 _BETTER_VERSIONS = ((4, 6), (4, 5))  # Mesa gives its best whatever was asked for, NVIDIA gives just that
@@ -44,6 +47,9 @@ class Native(Protocol):
 
     def make_current(self) -> None:
         """Makes it this thread's context. Raises DeviceError where another thread has it."""
+
+    def is_current(self) -> bool:
+        """Whether it is this thread's context, as far as the driver's library knows."""
 
     def __enter__(self) -> object: ...
     def __exit__(self, *_: object) -> None: ...
@@ -137,7 +143,8 @@ class Context:
     ) -> None:
         """keep_programs: on disk, for the next context and for those beside it."""
         self.native = native
-        self.closed = False
+        self.closed, self._process = False, os.getpid()
+        _thread.context = self  # current from the start
         try:
             self.raw = GL(native.load_opengl_function)
             self.device = _device(self.raw, backend, egl)
@@ -151,6 +158,7 @@ class Context:
             self.bindings = Bindings(blocks, TEXTURES, self.limits.image_units)
             _canary(self.gl, self.device)
         except Exception as error:
+            _thread.context = None
             native.release()
             if isinstance(error, DeviceError):
                 raise
@@ -171,20 +179,41 @@ class Context:
         buffer.write(data, offset)
 
     def make_current(self) -> None:
-        """Makes this the calling thread's context; needed only where a process has several."""
+        """Makes this the calling thread's context, unless it is already.
+
+        Names of objects mean others in each context, ours or of other libraries in this process: whoever is called from
+        outside calls this before anything else.
+        Raises DeviceError where another thread has it, or another process made it.
+        """
+        if _thread.__dict__.get("context") is self and self.native.is_current():
+            return
+        if self._process != os.getpid():
+            raise DeviceError(
+                f"this context was opened by process {self._process}, and this one was forked from it: open a Renderer "
+                'in each process, of multiprocessing.get_context("spawn")'
+            )
+        if self.closed:
+            raise DeviceError("this context is closed")
         self.native.make_current()
+        _thread.context = self
 
     def close(self) -> None:
         """Frees the context. Twice is harmless; using any object made in it afterwards is not."""
         if not self.closed:
             self.closed = True
-            self.native.release()
+            if _thread.__dict__.get("context") is self:
+                _thread.context = None
+            if self._process == os.getpid():
+                self.native.release()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+os.register_at_fork(after_in_child=lambda: _thread.__dict__.clear())
 
 
 def open_context(device: str = "auto", keep_programs: bool = False) -> Context:
@@ -194,6 +223,15 @@ def open_context(device: str = "auto", keep_programs: bool = False) -> Context:
     `egl:N` (EGL's N-th device), `cuda:N` (the GPU that CUDA calls N), `osmesa`. `auto` reads GLHYBRID_DEVICE first.
     Raises DeviceError with what was tried, why it failed and the line that mends it; SettingError for other names.
     """
+    if not isinstance(device, str):
+        raise SettingError(f"device = {device!r}: must be a name: {', '.join(DEVICE_NAMES)}")
+    if not _drivers:
+        _drivers.append(os.getpid())
+    if _drivers[0] != os.getpid():
+        raise DeviceError(
+            f"this process was forked from process {_drivers[0]}, which had used OpenGL: threads of the driver are "
+            'missing here, and it would wait for them for ever; start processes by multiprocessing.get_context("spawn")'
+        )
     if device == "auto":
         device = os.environ.get("GLHYBRID_DEVICE") or "auto"
     kind, _, number = device.partition(":")

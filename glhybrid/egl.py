@@ -233,7 +233,13 @@ class EglContext:
         """Raises DeviceError where another thread has it."""
         egl = _egl()
         if not egl.eglMakeCurrent(self._display, self._surface, self._surface, self._context):
-            raise DeviceError(f"eglMakeCurrent: {egl.error()}: is the context current in another thread?")
+            raise DeviceError(
+                f"eglMakeCurrent: {egl.error()}: a Renderer belongs to the thread that opened it: open one in each"
+            )
+
+    def is_current(self) -> bool:
+        """Whether it is this thread's context."""
+        return bool(self._context) and _egl().eglGetCurrentContext() == self._context
 
     def load_opengl_function(self, name: str) -> int:
         """Its address; 0 if the driver has none."""

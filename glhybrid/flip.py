@@ -64,6 +64,7 @@ class Flip:
 
     def reference(self, want: F32) -> Reference:
         """(H, W, 3) linear light, to be released. What is not finite counts as black or as MOST."""
+        self._context.make_current()
         height, width = want.shape[:2]
         mean = float((np.nan_to_num(want, posinf=0, neginf=0) @ LUMINANCE).mean(dtype=np.float64))
         if not mean > 0:
@@ -87,6 +88,7 @@ class Flip:
         """
         if not reference.exposures:
             return (got.max(-1) > 0).astype(np.float32)
+        self._context.make_current()
         height, width = got.shape[:2]
         self._work_at((width, height))
         if "picture" not in self._images:
@@ -97,12 +99,14 @@ class Flip:
 
     def ldr(self, picture: Any, want: Any) -> Any:
         """LDR-FLIP of two textures in sRGB, 0 to 1: the map as a texture, gone with the next."""
+        self._context.make_current()
         self._work_at(picture.size)
         reference = Reference(want, (0.0,))
         return self._compare(picture, reference, keeps=False)
 
     def compare(self, picture: Any, reference: Reference) -> Any:
         """The map as a texture, gone with the next; picture: a texture of the reference's size, which is not black."""
+        self._context.make_current()
         self._work_at(picture.size)
         room = picture.width * picture.height * BYTES_A_PIXEL * len(reference.exposures)
         return self._compare(picture, reference, keeps=room <= KEPT_BYTES)

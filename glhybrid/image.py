@@ -93,21 +93,21 @@ AOVS: dict[str, Aov] = {
 
 
 def check_aovs(names: Iterable[str]) -> tuple[str, ...]:
-    """The names without repeats, in order. Raises SettingError for an unknown one, with the nearest."""
-    wanted = tuple(dict.fromkeys(names))
+    """The names without repeats, in order; "depth,normal" is two. Raises SettingError for an unknown one."""
+    wanted = tuple(dict.fromkeys(names.split(",") if isinstance(names, str) else names))
     for name in wanted:
         if name not in AOVS:
             raise SettingError(unknown("AOV", name, AOVS))
     return wanted
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, repr=False)
 class Frame:
     """One rendered picture: `rgb` (H, W, 3) uint8 as displayed (sRGB), AOVs by name, and the receipt.
 
     `frame["depth"]` is the array of that AOV as `AOVS` describes it; row 0 is the top. The receipt, ready for JSON,
-    says what was drawn, on what, by which passes and for how long: `scene`, `device`, `settings`, `plan`, `bvh`,
-    `passes` ([{name, ms}]), `frame_ms`, `first_image_ms`.
+    says what was drawn, on what, by which passes and for how long: `scene`, `device`, `settings`, `camera` (its place,
+    K in pixels), `plan`, `bvh`, `passes` ([{name, ms}]), `frame_ms`, `first_image_ms`.
     """
 
     rgb: NDArray[np.uint8]
@@ -126,6 +126,11 @@ class Frame:
     def size(self) -> tuple[int, int]:
         """(W, H) in pixels."""
         return self.rgb.shape[1], self.rgb.shape[0]
+
+    def __repr__(self) -> str:
+        """Short, for sessions; notebooks show the picture."""
+        scene = self.receipt.get("scene", {}).get("name", "")
+        return f"<Frame {self.size[0]}x{self.size[1]} of {scene or 'a scene'}: {', '.join(('rgb', *self.arrays))}>"
 
     def __getitem__(self, name: str) -> Array:
         """An AOV's array, shape and dtype as `AOVS` says. Raises SettingError for one that was not asked for."""

@@ -66,6 +66,10 @@ class OsmesaContext:
         if not self._library.OSMesaMakeCurrent(self._context, self._pixel, _UNSIGNED_BYTE, 1, 1):
             raise DeviceError("OSMesaMakeCurrent failed: is the context current in another thread?")
 
+    def is_current(self) -> bool:
+        """Whether it is this thread's context."""
+        return bool(self._context) and self._library.OSMesaGetCurrentContext() == self._context
+
     def load_opengl_function(self, name: str) -> int:
         """Its address; 0 if the driver has none."""
         return self._library.OSMesaGetProcAddress(name.encode()) or 0

@@ -1,7 +1,10 @@
 """The receipt of a picture: what was drawn, how, on what, and how long it took."""
 
 import dataclasses
+import math
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from glhybrid import __version__, checks, kernels, pose
 from glhybrid.timing import Timing
@@ -37,6 +40,7 @@ def make(staged: "Staged", view: View, timing: Timing, first_image_ms: float) ->
         "settings": staged.settings.to_dict() | {
             "size": list(view.size), "camera": view.camera.name, "exposure_ev": staged.display.exposure_ev(),
         },
+        "camera": camera(view),
         "plan": {
             "passes": list(plan.passes), "programs": staged.shaders.names, "primary": plan.primary,
             "levels": upload.geometry.levels, "reasons": [*plan.reasons, *[kernels.QUICK] * trees.get("quick", False)],
@@ -58,12 +62,32 @@ def make(staged: "Staged", view: View, timing: Timing, first_image_ms: float) ->
     return found
 
 
+def camera(view: View) -> dict[str, Any]:
+    """What data needs of a camera: where it is and how it projects, ready for JSON.
+
+    world_from_view: (4, 4), metres, glTF's axes: +X right, +Y up, looking down -Z. Perspective: `intrinsics` is K,
+    (3, 3) in pixels, of points in OpenCV's axes (+X right, +Y down, +Z ahead); the first pixel's centre is (0.5, 0.5).
+    Orthographic: `half_extents` (x, y), metres.
+    """
+    shot, (width, height) = view.camera, view.size
+    told: dict[str, Any] = {"name": shot.name, "world_from_view": np.asarray(shot.world_from_view).tolist()}
+    if view.orthographic:
+        reach = [float(np.linalg.norm(axis)) for axis in (view.right, view.up)]
+        return told | {"projection": "orthographic", "half_extents": reach, "near": shot.near}
+    focal = 1 / view.pixel_angle
+    k = [[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]]
+    fov = math.degrees(2 * math.atan(height / 2 * view.pixel_angle))
+    return told | {"projection": "perspective", "intrinsics": k, "fov_y_deg": fov, "near": shot.near}
+
+
 def warnings(staged: "Staged") -> list[str]:
     """What the loader could not keep, and what this picture may show wrong."""
     scene, settings, geometry = staged.scene, staged.settings, staged.upload.geometry
     said = list(scene.warnings)
     if settings.time is not None or settings.clip is not None:
         said += pose.notes(scene, settings.time, settings.clip)
+    if not scene.lights and scene.environment is None and not any(m.unlit or any(m.emissive) for m in scene.materials):
+        said.append("no light and no environment: all is black; glhybrid.with_defaults(scene) adds a sky and a sun")
     if lost := geometry.flattened_away:
         said.append(f"{lost} triangles dropped: too small for one level of trees over all; --set levels=2 shows them")
     if dropped := geometry.dropped - lost:

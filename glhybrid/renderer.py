@@ -122,6 +122,7 @@ class Renderer:
         progress: Progress | None = None,
     ) -> tuple[Staged, View, Any, Any]:
         """One picture that stays on the GPU: the staging, the view, and the images of radiance and display."""
+        checks.check_kinds(scene, settings)
         chosen = choose_camera(scene, camera)
         if chosen is not self._seen:
             checks.check_camera(chosen)  # before any work is done
@@ -152,6 +153,7 @@ class Renderer:
         """
         if self._closed:
             raise DeviceError("this Renderer is closed: draw within its `with` block, or before close()")
+        self.context.make_current()  # the process may have others
         checks.check_size(size)
         if scene is not self._checked():
             checks.check_scene(scene)
@@ -189,6 +191,7 @@ class Renderer:
 
     def forget(self, staged: Staged) -> None:
         """Frees one staging at once."""
+        self.context.make_current()
         if staged in self._stagings:
             self._stagings.remove(staged)
             self._stagings.insert(0, staged)
@@ -208,6 +211,7 @@ class Renderer:
             yield
         finally:
             self._most = before
+            self.context.make_current()
             self._drop(before)
 
     def reload_shaders(self) -> int:
@@ -215,6 +219,7 @@ class Renderer:
 
         Raises ShaderError where one does not compile; then all programs are as they were.
         """
+        self.context.make_current()
         compiled = self.shaders.recompile()
         for staged in self._stagings if compiled else ():
             staged.stale = True
@@ -228,7 +233,15 @@ class Renderer:
 
     def close(self) -> None:
         """Frees everything; what is drawn after it raises DeviceError. Twice is harmless."""
+        if self._closed:
+            return
         self._closed = True
+        try:
+            self.context.make_current()
+        except DeviceError:  # it lives in another thread, or before a fork: its objects go when it goes
+            if self._owns_context:
+                self.context.close()
+            return
         while self.rings:
             self.rings.pop().release()
         self._drop(0)

@@ -13,6 +13,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from glhybrid.errors import SettingError
+
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
@@ -272,10 +274,13 @@ class Camera:
     ) -> "Camera":
         """A perspective camera at eye that looks at target: world, metres; fov_y vertical, radians.
 
-        An up along the view is replaced by the least aligned axis.
+        An up along the view is replaced by the least aligned axis. Raises SettingError where they are one point.
         """
         back = np.asarray(eye, np.float64) - np.asarray(target, np.float64)
-        back /= np.linalg.norm(back)
+        length = float(np.linalg.norm(back))
+        if not (length > 0 and np.isfinite(length)):
+            raise SettingError(f'camera "{name}": eye = {eye}, target = {target}: must be two places, apart and finite')
+        back /= length
         right = np.cross(np.asarray(up, np.float64), back)
         if np.linalg.norm(right) < 1e-9:
             right = np.cross(np.eye(3)[np.argmin(np.abs(back))], back)

@@ -65,7 +65,9 @@ def frames(
         if chosen.time is not None:
             warnings += posing.notes(scene, chosen.time, chosen.clip)
         receipts.append(
-            first | {"settings": first["settings"] | said, "scene": first["scene"] | {"warnings": warnings}}
+            first
+            | {"settings": first["settings"] | said, "scene": first["scene"] | {"warnings": warnings}}
+            | {"camera": receipt.camera(drawn.view)}
         )
         names = [drawn.staged.reading(name, drawn.view, drawn.radiance) for name in aovs]
         return [outputs.rgb(drawn.display), drawn.staged.display.exposure(), *names]
@@ -125,9 +127,11 @@ def _stream(
     finally:
         if ring in renderer.rings:  # else close() has freed it
             renderer.rings.remove(ring)
+            renderer.context.make_current()
             ring.release()
 
 
 def _check_open(renderer: "Renderer", ring: Ring) -> None:
     if ring not in renderer.rings:
         raise DeviceError("the renderer was closed before the last picture: take them all inside its with block")
+    renderer.context.make_current()  # whoever took a picture may have drawn with another renderer

@@ -110,6 +110,11 @@ def choose_camera(scene: Scene, camera: int | str | Camera | None) -> Camera:
         index = int(camera)
         if 0 <= index < len(scene.cameras):
             return scene.cameras[index]
+        if not scene.cameras:
+            raise SettingError(
+                f"{scene.name}: has no camera: give one, such as Camera.look_at(eye, target), or draw "
+                "glhybrid.with_defaults(scene), whose camera frames it"
+            )
         raise SettingError(f"camera {index}: {scene.name} has {len(scene.cameras)}, numbered from 0")
     for candidate in scene.cameras:
         if candidate.name == camera:

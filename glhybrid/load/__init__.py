@@ -7,7 +7,7 @@ from glhybrid.errors import LoadError, unknown
 from glhybrid.load import builtin
 from glhybrid.scene import Camera, Scene
 
-__all__ = ["default_camera", "load", "read_model"]
+__all__ = ["default_camera", "load", "read_model", "with_defaults"]
 
 MESH_SUFFIXES = (".obj", ".ply", ".stl", ".off")
 GLTF_SUFFIXES = (".gltf", ".glb")
@@ -36,7 +36,7 @@ def load(source: str | Path, *, strict: bool = False, allow_outside: bool = Fals
         scene = read_model(path, strict=strict, allow_outside=allow_outside, smooth=smooth)
     if strict and scene.warnings:
         raise LoadError(f"{path}: {scene.warnings[0]} (strict: nothing may be dropped or changed)")
-    return _with_defaults(scene)
+    return with_defaults(scene)
 
 
 def read_model(path: Path, *, strict: bool = False, allow_outside: bool = False, smooth: bool = False) -> Scene:
@@ -86,7 +86,11 @@ def _find(source: str | Path) -> Path:
         raise LoadError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
-def _with_defaults(scene: Scene) -> Scene:
+def with_defaults(scene: Scene) -> Scene:
+    """As load() gives scenes back: with a camera that frames it, and a soft sky and sun, where it has none.
+
+    For scenes built in code; each thing added is said in Scene.warnings.
+    """
     said = []
     if scene.lights and scene.cameras:
         return scene

@@ -48,6 +48,9 @@ class Native:
         egl.unbind()  # libglvnd refuses a GLX context while one of EGL's is current
         self._glfw.make_context_current(self._window)
 
+    def is_current(self) -> bool:
+        return True  # the viewer's process has no other
+
     def __enter__(self) -> Self:
         self.make_current()
         return self

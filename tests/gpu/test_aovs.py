@@ -1,5 +1,7 @@
 """Every row of the AOV table holds for a rendered frame: shape, type, the value of a miss, what the numbers mean."""
 
+import json
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -79,6 +81,34 @@ def test_geometry_is_what_the_camera_saw(frame: gh.Frame) -> None:
         normal = frame[name][hit]
         np.testing.assert_allclose(np.linalg.norm(normal, axis=-1), 1, atol=1e-3)
         assert ((normal * ray[hit]).sum(-1) <= 1e-3).all()  # towards the viewer
+
+
+@pytest.mark.parametrize("kind", ["perspective", "tall", "orthographic", "narrow"])
+def test_the_receipt_says_how_points_become_pixels(context: "Context", kind: str) -> None:
+    """By what it tells alone, as a data set's reader has it: OpenCV's K, or half extents."""
+    shot = Camera.look_at(EYE, TARGET)
+    size = (40, 90) if kind in ("tall", "narrow") else SIZE
+    shot = replace(shot, fov_short=kind == "tall")
+    if kind in ("orthographic", "narrow"):
+        shot = replace(shot, fov_y=0.0, ymag=1.3, xmag=0.7 if kind == "narrow" else 0.0)
+    with gh.Renderer(context=context) as renderer:
+        scene, settings, aovs = gh.load("cornell"), gh.Settings(aa=1), ("position", "depth")
+        single = renderer.render(scene, shot, size, settings, aovs)
+        (streamed,) = renderer.frames(scene, [gh.Shot(camera=shot)], size, settings, aovs)
+    for frame in (single, streamed):
+        told = json.loads(json.dumps(frame.receipt["camera"]))
+        hit = np.isfinite(frame["depth"])
+        point = np.concatenate([frame["position"][hit], np.ones((hit.sum(), 1))], 1)
+        x, y, z = (point @ np.linalg.inv(told["world_from_view"]).T)[:, :3].T * np.array([[1], [-1], [-1]])  # OpenCV's
+        np.testing.assert_allclose(z, frame["depth"][hit], rtol=1e-5)
+        if told["projection"] == "perspective":
+            u, v, w = np.array(told["intrinsics"]) @ (x, y, z)
+            u, v = u / w, v / w
+        else:
+            u, v = ((1 + a / b) * n / 2 for a, b, n in zip((x, y), told["half_extents"], size, strict=True))
+        rows, columns = np.nonzero(hit)
+        np.testing.assert_allclose(u, columns + 0.5, atol=0.01)
+        np.testing.assert_allclose(v, rows + 0.5, atol=0.01)
 
 
 def test_surfaces_are_in_range(frame: gh.Frame) -> None:
