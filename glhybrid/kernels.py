@@ -151,9 +151,8 @@ class Kernels:
         if os.name != "posix" or folder is None or not jit.writable(folder) or not _is_python():
             return
         with contextlib.suppress(OSError):
-            with locked(folder):
-                pass
-            _start(f"from glhybrid import kernels; kernels.compile_beside('{self.name}')")
+            with locked(folder) as lock:  # which the other process has from its beginning to its end
+                _start(f"from glhybrid import kernels; kernels.compile_beside('{self.name}')", lock)
             log.info("kernels are compiled in a process beside, for %s from the next run on", self._what)
 
     def _mark(self) -> Path | None:
@@ -201,24 +200,24 @@ class _Kernel:
         }
 
         def with_helpers(function: Any) -> Any:
-            used = {
-                n: v for n in function.__code__.co_names if (v := function.__globals__.get(n)) in self._set._helpers
-            }
-            around = function.__globals__ | {name: njit(with_helpers(helper)) for name, helper in used.items()}
+            around = dict(function.__globals__)
+            for name in function.__code__.co_names:
+                if isinstance(helper := around.get(name), FunctionType) and helper in self._set._helpers:
+                    around[name] = njit(with_helpers(helper))
             return FunctionType(function.__code__, around, function.__name__)
 
         self._compiled = jit.kernel(eval(self._signature, names))(with_helpers(self.plain))
 
 
 @contextlib.contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """While this process alone compiles into the folder. Raises OSError if another does; ends with the process."""
+def locked(folder: Path) -> Iterator[int]:
+    """A descriptor: whoever holds it, or a copy, compiles into the folder. Raises OSError if somebody else does."""
     import fcntl
 
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
+        yield descriptor
     finally:
         os.close(descriptor)
 
@@ -231,24 +230,21 @@ def compile_beside(*names: str) -> None:
         os.nice(19)
     with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("1000")
-    folder = jit.folder()
-    if folder is None:
-        return
-    with contextlib.suppress(OSError), locked(folder):
-        for name in names:
-            kernels: Kernels = globals()[name]
-            if not kernels.ready():
-                kernels.load()
+    for name in names:
+        kernels: Kernels = globals()[name]
+        if not kernels.ready():
+            kernels.load()
 
 
-def _start(command: str) -> None:
+def _start(command: str, lock: int) -> "subprocess.Popen[bytes]":
     path = os.pathsep.join(dict.fromkeys(os.path.abspath(p) for p in sys.path))
     process = subprocess.Popen(
-        [sys.executable, "-c", command], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+        [sys.executable, "-P", "-c", command], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
         stderr=None if os.environ.get("GLHYBRID_DEBUG") else subprocess.DEVNULL,
-        env=os.environ | {"PYTHONPATH": path}, cwd="/", start_new_session=True,
+        env=os.environ | {"PYTHONPATH": path}, start_new_session=True, pass_fds=(lock,),
     )  # fmt: skip
     threading.Thread(target=process.wait, daemon=True, name="glhybrid: kernels").start()  # nobody else will
+    return process
 
 
 def _is_python() -> bool:
@@ -261,10 +257,9 @@ def _machine() -> tuple[str, ...]:
     """What compiled code depends on, besides its source."""
     from importlib.metadata import PackageNotFoundError, version
 
-    try:
-        first = Path("/proc/cpuinfo").read_text().split("\n\n")[0].splitlines()
-    except OSError:
-        first = []
+    first: list[str] = []
+    with contextlib.suppress(OSError), open("/proc/cpuinfo", "rb", buffering=0) as file:
+        first = file.read(4096).decode(errors="replace").split("\n\n")[0].splitlines()  # of all, some take long
     told = [line for line in first if line.startswith(("model name", "flags", "Features", "CPU "))]
     found = [sys.version, platform.machine(), *told]
     for package in ("numba", "llvmlite"):

@@ -88,7 +88,7 @@ def trees(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Kernels]:
 def started(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Processes that would have been started."""
     commands: list[str] = []
-    monkeypatch.setattr(kernels, "_start", commands.append)
+    monkeypatch.setattr(kernels, "_start", lambda command, lock: commands.append(command))
     return commands
 
 
@@ -143,25 +143,27 @@ def test_no_process_is_started_where_it_is_of_no_use(
 
 
 def test_one_process_compiles_at_a_time(tmp_path: Path) -> None:
-    folder = tmp_path / "numba"
-    folder.mkdir()
-    with kernels.locked(folder):
-        with pytest.raises(OSError), kernels.locked(folder):
+    """It has the lock until it ends, however it does, and is no more in this one's way."""
+    with kernels.locked(tmp_path) as lock:
+        with pytest.raises(OSError), kernels.locked(tmp_path):
             pass
-        script = "from glhybrid import kernels; kernels.compile_beside('TREES'); print('{}')"
-        assert run(tmp_path, script) == ({}, "")
-    assert not list(folder.iterdir()), "it left at once, and nothing there"
-    with kernels.locked(folder):
+        process = kernels._start("import time; time.sleep(300)", lock)
+    with pytest.raises(OSError), kernels.locked(tmp_path):
         pass
+    process.kill()
+    process.wait(60)
+    with kernels.locked(tmp_path):
+        pass
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_process_beside_is_detached_and_reaped(tmp_path: Path) -> None:
     told = tmp_path / "told"
-    code = f"import os, sys; open({str(told)!r}, 'w').write(f'{{os.getsid(0) == os.getpid()}} {{os.getcwd()}}')"
+    code = f"import os, sys; open({str(told)!r}, 'w').write(f'{{os.getsid(0) == os.getpid()}}')"
     script = f"""
 import json, os, threading
 from glhybrid import kernels
-kernels._start({code!r})
+kernels._start({code!r}, 0)
 for thread in threading.enumerate():
     if thread.name == "glhybrid: kernels":
         thread.join(60)
@@ -173,7 +175,7 @@ except ChildProcessError:
 print(json.dumps({{"left": left}}))
 """
     assert run(tmp_path, script, PYTHONWARNINGS="error") == ({"left": False}, "")
-    assert told.read_text() == "True /"
+    assert told.read_text() == "True"
 
 
 def test_what_it_cannot_be_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
