@@ -125,8 +125,9 @@ class GpuScene:
             self._place(np.arange(len(self._row_of_world)))
         boxes = self._boxes if two_level and geometry.meshes else None
         largest = motion.largest if motion is not None else 0
-        on_gpu = builds_on_gpu(rebuild, builder, self._context.device.software, largest)
-        given = (deforming, motion is not None, rebuild, self.scene.name, on_gpu)
+        software = self._context.device.software
+        on_gpu = builds_on_gpu(rebuild, builder, software, largest)
+        given = (deforming, motion is not None, rebuild, self.scene.name, software, on_gpu)
         self.trees = GpuTrees(self._texels, self._context.write, geometry, boxes, *given)
         if geometry.meshes:
             mesh, rows = geometry.instance_mesh, self._instances

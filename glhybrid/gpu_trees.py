@@ -20,6 +20,9 @@ from glhybrid.scene import F32, F64, U32
 
 SPARE_LEVELS = 8  # of the stack, for top-level trees that come out deeper as things move
 STACK_LIMIT = 128
+# Entries of the stack come in so many, by whether a CPU traces: there a few more cost nothing (frames of seven scenes,
+# within 1 %), and scenes of about one depth share their programs. On a GPU they are local memory.
+STACK_STEP = {True: 12, False: 4}
 NEAR_NODES, MOST_WRITES = 64, 16  # nodes so near go in one write, and more writes than that as one
 
 # One node whose two children are leaves of nothing: where a ray through a scene without triangles ends at once.
@@ -31,7 +34,8 @@ class GpuTrees:
 
     boxes: (I, 2, 3) float64, world, of the instances, for a top-level tree; None: there is one mesh and no such tree.
     deforming: rows of geometry.meshes whose trees may be built anew, and have room for it; on_gpu: that is where.
-    rebuild: growth of the top-level tree's SAH cost that has it built anew, as Settings.rebuild.
+    rebuild: growth of the top-level tree's SAH cost that has it built anew, as Settings.rebuild. software: a CPU
+    traces.
     """
 
     def __init__(
@@ -44,8 +48,10 @@ class GpuTrees:
         moving: bool,
         rebuild: float,
         name: str,
+        software: bool,
         on_gpu: bool = False,
     ) -> None:
+        self._stack_step = STACK_STEP[software]
         self._geometry, self._name, self._rebuild, self.on_gpu, self._write = geometry, name, rebuild, on_gpu, write
         blases = [m.blas for m in geometry.meshes]
         self._depth = [b.depth for b in blases]
@@ -83,7 +89,7 @@ class GpuTrees:
         self._slots = texels("slots", slots)
 
     def stack_needed(self, spare: int = 0) -> int:
-        """Entries of the traversal stack: depth of the trees, the sentinels, and one spare, in fours.
+        """Entries of the traversal stack: depth of the trees, the sentinels, and one spare, in steps of STACK_STEP.
 
         Raises GeometryError past STACK_LIMIT.
         """
@@ -93,7 +99,7 @@ class GpuTrees:
                 f"{self._name}: trees {entries} deep exceed the traversal stack's limit of {STACK_LIMIT}: "
                 "geometry in a progression of sizes?"
             )
-        return -(-entries // 4) * 4
+        return -(-entries // self._stack_step) * self._stack_step
 
     def stats(self) -> dict[str, Any]:
         """What the receipt says. sah_cost: mean over meshes, weighted by triangles; quick: as Blas, of any."""

@@ -217,7 +217,8 @@ CONSTANTS: dict[str, int] = {
     "PATH_WIDTH": 2048, "PATH_PARTS": 5, "PATH_LIGHT_PARTS": 4, "PATH_LISTS": 4,
     # Of trees over moved vertices: clusters that a work group merges; in place of a parent.
     "MERGE_WIDTH": 1024, "REFIT_ROOT": 0xFFFFFFFE,
-    # What passes/aov.comp writes, by the names of glhybrid/image.py.
+    # What passes/aov.comp writes, by the names of glhybrid/image.py; kinds that share a program.
+    "AOVS_POINT": 0, "AOVS_MATERIAL": 1, "AOVS_MOTION": 2, "AOVS_RAYS": 3,
     "AOV_DEPTH": 1, "AOV_DISTANCE": 2, "AOV_POSITION": 3, "AOV_NORMAL": 4, "AOV_NORMAL_GEOMETRIC": 5, "AOV_ALBEDO": 6,
     "AOV_ROUGHNESS": 7, "AOV_METALLIC": 8, "AOV_EMISSIVE": 9, "AOV_INSTANCE_ID": 10, "AOV_MATERIAL_ID": 11,
     "AOV_TRIANGLE_ID": 12, "AOV_MOTION": 13, "AOV_BVH_STEPS": 14,

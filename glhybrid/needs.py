@@ -80,7 +80,7 @@ class Features:
     bvh_stack: int = 0  # entries, from the depth of the trees
     bvh_inner_steps: int = 4  # inner nodes in a row, before a leaf
     texture_slots: int = 0  # bit k: some material has a texture in slot k (layout SLOT_*)
-    aov: int = 0  # which, in passes/aov.comp
+    aov: int = 0  # of which kind, in passes/aov.comp (layout AOVS_*)
 
     def defines(self) -> dict[str, int]:
         """Names as GLSL knows them, with values."""

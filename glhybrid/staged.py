@@ -14,6 +14,7 @@ from glhybrid.context import Context
 from glhybrid.frame import Passes
 from glhybrid.frame_constants import FrameConstants
 from glhybrid.gpu_scene import GpuScene, check_room
+from glhybrid.gpu_trees import STACK_STEP
 from glhybrid.mover import Mover
 from glhybrid.needs import Features
 from glhybrid.passes.aov import Aov
@@ -36,7 +37,6 @@ from glhybrid.view import View, choose_camera, make_view
 
 LIVE = frozenset({"exposure", "tone", "aa", "bounces", "seed"})  # settings that change numbers of a frame only
 LIT_AHEAD = {"baked", "probe"}  # techniques that hold light from when they were staged
-UNUSED_STACK = 4  # entries, for programs that hold the code of rays and send none
 OF_SURFACES = (
     "occlusion", "reflections", "mirror_rays", "mirror_hits", "march", "glossy", "probes", "probes_blurred", "denoise",
     "denoise_shadows", "denoise_occlusion", "visibility", "shadow_maps", "shadow_rays", "shadow_bits", "lightmap",
@@ -155,8 +155,9 @@ class Staged:
         if moving is not None and ("motion" in self.aovs or features.filtered):
             upload.keep_previous(vertices=bool(moving.deformers))
             features = features.replace(moving=True, deforming=bool(moving.deformers))
+        unused = STACK_STEP[self.context.device.software]  # for programs that hold the code of rays and send none
         return features.replace(
-            bvh_stack=max(upload.stack_entries, upload.stack_needed()) if self.plan.trees else UNUSED_STACK,
+            bvh_stack=max(upload.stack_entries, upload.stack_needed()) if self.plan.trees else unused,
             reason="reason" in self.aovs,
             reason_shadows="reason_shadows" in self.aovs and (features.shadow_maps or features.lightmap),
             reason_ao="reason_ao" in self.aovs and self.settings.ao == "ssao",

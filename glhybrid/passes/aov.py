@@ -1,4 +1,4 @@
-"""Typed arrays of the exact pixel-centre rays, one dispatch each, only those asked for."""
+"""Typed arrays of the exact pixel-centre rays, one dispatch each, only those asked for; a program for each kind."""
 
 from typing import Any
 
@@ -14,6 +14,11 @@ from glhybrid.scene import F64
 from glhybrid.shaders import Shaders
 from glhybrid.targets import Targets
 
+_KINDS = {
+    "motion": "MOTION", "bvh_steps": "RAYS",
+    **dict.fromkeys(("normal", "albedo", "roughness", "metallic", "emissive"), "MATERIAL"),
+}  # fmt: skip
+
 
 class Aov:
     """Whatever is asked of the first surface; only its programs are kept."""
@@ -25,11 +30,12 @@ class Aov:
 
     def run(self, targets: Targets, ids: Any, name: str, origin: F64) -> Reading[np.ndarray]:
         """(H, W, ...) array as image.AOVS describes it, row 0 at the top."""
-        steps = name == "bvh_steps"
-        features = self._features.replace(aov=CONSTANTS[f"AOV_{name.upper()}"], step_counter=steps)
+        kind = CONSTANTS[f"AOVS_{_KINDS.get(name, 'POINT')}"]
+        features = self._features.replace(aov=kind, step_counter=name == "bvh_steps")
         target = targets.get("aov")
         program = self._shaders.compute("aov", features)
-        program.dispatch({**self._scene.resources, "gbuffer_id": ids, "out_aov": target}, targets.size)
+        which = CONSTANTS[f"AOV_{name.upper()}"]
+        program.dispatch({**self._scene.resources, "gbuffer_id": ids, "out_aov": target, "aov": which}, targets.size)
         width, height = targets.size
         bits = np.frombuffer((yield target), np.uint32).reshape(height, width, 4)[::-1]
         row = AOVS[name]
