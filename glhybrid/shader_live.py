@@ -14,7 +14,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 _COMMENT = re.compile(r"//.*")
-_WORD = re.compile(r"[A-Za-z_]\w*")
+_WORD = re.compile(r"(?<![.\w])[A-Za-z_]\w*")  # not a member's name
+_USE = re.compile(r"(?<![.\w])([A-Za-z_]\w*)(\s*\()?")
 _DIRECTIVE = re.compile(r"\s*#\s*(if|ifdef|ifndef|elif|else|endif|define|undef|line|version|error|extension)\b\s*(.*)")
 _DEFINE = re.compile(r"(\w+)(\([^)]*\))?\s*(.*)")
 _FUNCTION = re.compile(r"(?:\w+\s+)+(\w+)\s*\(")
@@ -51,7 +52,7 @@ class Text:
 
     def __init__(self, text: str) -> None:
         self.lines = [_COMMENT.sub("", line).rstrip() for line in text.split("\n")]
-        self._words = [frozenset(_WORD.findall(line)) for line in self.lines]
+        self._words = [frozenset(_used(line)) for line in self.lines]
         self._directives = {k: m.groups() for k, line in enumerate(self.lines) if (m := _DIRECTIVE.match(line))}
         self._items = list(self._read())
         self._by_name: dict[str, list[_Item]] = defaultdict(list)
@@ -101,7 +102,7 @@ class Text:
         on, met = self._decide(defines)
         kept = {k for k, (kind, _) in self._directives.items() if kind == "line" or (kind == "error" and on[k])}
         words: set[str] = set()
-        wanted = [*(item for item in self._items if not item.names), *self._by_name["main"]]
+        wanted = [*(item for item in self._items if not item.names), *self._by_name["main("]]
         while wanted:
             found: set[str] = set()
             for item in wanted:
@@ -149,6 +150,14 @@ class Text:
         return on, met
 
 
+def _used(line: str) -> Iterator[str]:
+    """Words of a line; those that may be calls also with their parenthesis, as functions are known by."""
+    for name, call in _USE.findall(line):
+        yield name
+        if call:
+            yield f"{name}("
+
+
 def _declared(whole: str) -> frozenset[str]:
     """Names that a declaration makes, empty if it is of no known kind."""
     header = whole.partition("{")[0]
@@ -159,7 +168,7 @@ def _declared(whole: str) -> frozenset[str]:
             {found.group(2)} if found.group(2) else re.findall(r"(\w+)\s*(?:\[[^\]]*\]\s*)?;", found.group(1))
         )
     if (found := _FUNCTION.match(header)) and "=" not in header[: found.end()]:
-        return frozenset({found.group(1)})
+        return frozenset({f"{found.group(1)}("})
     if found := _VARIABLE.fullmatch(whole):
         flat = found.group(1)
         while (shorter := _NESTED.sub("", flat)) != flat:

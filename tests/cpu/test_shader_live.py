@@ -22,6 +22,7 @@ TEXT = """\
 const uint B = 2u, C = 3u;
 struct Used {
     float x;
+    float lonely;
 #if USE_D
     float d;
 #endif
@@ -32,7 +33,8 @@ layout(std430) readonly buffer Others { Unused others[]; };
 uniform sampler2D tex;       // tex
 uniform sampler2D untouched;
 float helper(float x, uint k) { return x * float(k) + rows[k].x; }
-float helper(float x) { return x; }
+float helper(float x) { return x + rows[0].lonely; }
+float lonely() { return 5.0; }
 #if SIDE && !defined(NOTHING) || USE_D == 7
 float chosen() { return texture(tex, vec2(0.0)).x; }
 #elif USE_D >= 2
@@ -76,7 +78,7 @@ def test_what_main_leads_to_stays_in_its_line() -> None:
         "1.0; }",
     ):
         assert kept in text, kept
-    for gone in ("Unused", "others", "tex", "untouched", "dead", "2.0", "#if", "#else", "float d;", "+= 1.0"):
+    for gone in ("Unused", "others", "tex", "untouched", "dead", "lonely()", "2.0", "#if", "#else", "float d;", "+= 1.0"):
         assert gone not in text, gone
     assert {"USE_A", "USE_D", "SIDE"} <= words and "USE_E" not in words  # dead() alone asks for E
 
