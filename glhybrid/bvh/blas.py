@@ -168,7 +168,7 @@ def build_blas(
         corners = position.astype(np.float64)
         fragments = box_fragments(corners.min(1) - pad, corners.max(1) + pad, *grid)
         fragments = np.concatenate([fragments, around])
-        tree = sweep.grow_tree(fragments, grid[1], max_leaf)
+        tree = sweep.grow_tree(fragments, grid[1], max_leaf, threads_available() if threads is None else threads)
         slots = np.concatenate([_triangle_slots(position, *ids), _sphere_slots(spheres, *sphere_ids)])
         slots = slots[identity(fragments)]
     else:
