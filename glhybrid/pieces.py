@@ -37,9 +37,7 @@ def triangles(piece: Triangles, to_mesh: F64 | None, attributes: bool = True, de
     dropped, flattened_away = int(len(index) - keep.sum()), 0
     if dropped:
         if to_mesh is not None:
-            with np.errstate(invalid="ignore", over="ignore"):
-                own = piece.position.astype(np.float64) @ to_mesh[:3, :3].T
-            flattened_away = int(solid(own, index[~keep]).sum())
+            flattened_away = int(solid(piece.position, index[~keep]).sum())
         index = index[keep]
         position = np.where(np.isfinite(position).all(1, keepdims=True), position, 0)
     count = len(position)

@@ -73,7 +73,7 @@ class Rays:
 
 def plain(scene: Scene) -> Scene:
     """The scene with opaque, two-sided materials and exactly one light: only shapes and distances are left."""
-    lights = scene.lights[:1] or (default_light(scene)[1],)
+    lights = scene.lights[:1] or (default_light()[1],)
     light = lights[0]
     # No range and no cone: every surface that faces the lamp sends its ray.
     lamp = Light(

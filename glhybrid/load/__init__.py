@@ -98,9 +98,9 @@ def with_defaults(scene: Scene) -> Scene:
 
     resting = at_rest(scene)  # what is lit and framed is what will be drawn
     if not scene.lights and scene.environment is None:
-        from glhybrid.load.defaults import default_light
+        from glhybrid.load.defaults import default_light, faces_away
 
-        environment, sun = default_light(resting)
+        environment, sun = default_light(behind=not scene.cameras and faces_away(resting))
         scene = replace(scene, environment=environment, lights=(sun,))
         said.append("no light and no environment: lit by a soft default sky and sun")
     if not scene.cameras:

@@ -7,8 +7,8 @@ import pytest
 from scenefile_kit import BOX, scene
 
 from glhybrid.errors import LoadError
-from glhybrid.load import builtin, default_camera, defaults, load, patterns, shapes
-from glhybrid.scene import Instance, Mesh, Scene, Sphere, Triangles
+from glhybrid.load import builtin, default_camera, defaults, load, patterns, shapes, with_defaults
+from glhybrid.scene import Instance, Material, Mesh, Scene, Sphere, Triangles
 from glhybrid.view import make_view
 
 
@@ -67,7 +67,7 @@ def test_defaults_are_added_and_said(tmp_path: Path) -> None:
 
 
 def test_default_light_makes_white_about_one() -> None:
-    sky, sun = defaults.default_light(Scene("x"))
+    sky, sun = defaults.default_light()
     height = len(sky.radiance)
     polar = (np.arange(height // 2) + 0.5) / height * np.pi
     up = (sky.radiance[: height // 2].mean((1, 2)) * np.cos(polar) * np.sin(polar)).sum() * (np.pi / height) * 2 * np.pi
@@ -107,6 +107,25 @@ def test_default_camera_sees_everything(seed: int) -> None:
         clip = (clip - [*view.origin, 0]) @ view.clip_from_world.T
         assert np.abs(clip[:, :2] / clip[:, 3:]).max() <= 1.0001
         assert np.abs(clip[:, :2] / clip[:, 3:]).max(0).max() > 0.3, "too far away"
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_default_camera_looks_at_fronts(mirrored: bool) -> None:
+    """A sheet that faces away is seen from behind; what has two sides, or is closed, from the front as ever."""
+    away = Triangles(*(np.array(a, t) for a, t in (
+        ([[0, 0, 0], [0, 1, 0], [1, 0, 0]], np.float32), ([[0, 1, 2]], np.uint32), ([[0, 0, -1]] * 3, np.float32),
+    )))  # fmt: skip
+    pose = np.diag([-1.0, 1, 1, 1]) if mirrored else np.eye(4)  # turns the winding over: it faces away all the same
+    for piece, double_sided, from_front in ((away, False, False), (away, True, True), (shapes.box(), False, True)):
+        made = Scene("s", (Mesh("m", (piece,)),), (Instance(0, pose),), (Material(double_sided=double_sided),))
+        camera = default_camera(made)
+        assert (camera.world_from_view[2, 3] > made.bounds().mean(0)[2]) == from_front
+        points = made.bounds() - camera.world_from_view[:3, 3]
+        assert (points @ camera.world_from_view[:3, 2] < 0).all()  # in front of it, whichever way it looks
+        full = with_defaults(made)
+        assert full.environment is not None and abs(full.environment.rotation - np.pi * (not from_front)) < 1e-9
+        lit = full.lights[0].direction[2] * (1 if from_front else -1)
+        assert lit < 0  # the sun stays over the viewer's shoulder
 
 
 def test_default_camera_of_nothing_and_of_a_point() -> None:

@@ -67,6 +67,19 @@ def test_one_level_that_was_asked_for_says_what_it_lost(renderer: gh.Renderer) -
     ]
 
 
+def test_triangles_without_area_are_not_taken_for_small_ones(renderer: gh.Renderer) -> None:
+    # Turned, three points of a line are not quite on one any more; two levels would not show them either.
+    line = [[4.12, 9.11, -17.0 - 0.1 * k * k] for k in range(12)]
+    piece = gh.mesh([*line, [1, 0, 0], [0, 1, 0]], [*([k, k + 1, k + 2] for k in range(10)), [0, 12, 13]])
+    turn = np.eye(4)
+    turn[1:3, 1:3] = [[-1.34e-7, -1], [1, -1.34e-7]]  # a quarter, as files in float32 have it
+    scene = gh.with_defaults(gh.Scene("s", (piece,), (gh.Instance(0, turn),)))
+    settings = gh.Settings(shadows="none", reflections="none", aa=1)
+    for levels in (1, 2):
+        told = renderer.render(scene, size=(8, 8), settings=settings.replace(levels=levels)).receipt["scene"]
+        assert told["dropped_triangles"] and not any("too small" in w for w in told["warnings"]), told
+
+
 def test_two_levels_only_where_they_hold_more() -> None:
     """Not for small triangles far from their mesh's origin, where its float32 is as coarse."""
     assert choose_levels(fan(), "auto")[1].startswith("triangles of 2.9e-11 m would lose their shape")
