@@ -300,13 +300,20 @@ def test_a_scatter_is_sound_svg_with_every_point_and_the_front_named() -> None:
     assert sorted(names) == sorted(p.label for p in points if p.front)
 
 
-def test_labels_do_not_cover_each_other() -> None:
-    root = ET.fromstring(charts.standalone(charts.scatter(_points(25), title="", x_label="", y_label="")))
+@pytest.mark.parametrize("floor", [None, 1e-4, 0.02])
+def test_labels_cover_neither_each_other_nor_the_floors(floor: float | None) -> None:
+    corner = [
+        charts.Point(20 + k, 0.0099 - 1e-4 * k, f"a long name in the corner {k}", "random", True) for k in range(4)
+    ]
+    points = [*_points(25), *corner]
+    words = {"floor": floor, "floor_label": "noise of the reference"}
+    root = ET.fromstring(charts.standalone(charts.scatter(points, title="", x_label="", y_label="", **words)))
     boxes = []
     for t in root.iter("{http://www.w3.org/2000/svg}text"):
-        if "halo" in (t.get("class") or ""):
-            x, y = float(t.get("x", 0)), float(t.get("y", 0))
-            boxes.append((x, y - 11, x + len(t.text or "") * 5.5, y + 3))
+        if "halo" in (t.get("class") or "") or (t.text or "").startswith("noise"):
+            x, y, wide = float(t.get("x", 0)), float(t.get("y", 0)), len(t.text or "") * 5.5
+            x -= wide if t.get("text-anchor") == "end" else 0
+            boxes.append((x, y - 11, x + wide, y + 3))
     assert len(boxes) > 5
     for i, a in enumerate(boxes):
         for b in boxes[i + 1 :]:

@@ -79,17 +79,18 @@ def scatter(
     x = fit([p.x for p in points], LEFT, width - RIGHT, room=0.09)
     y = fit([p.y for p in points], height - BOTTOM, TOP, room=0.07)
     parts = [_frame(x, y, x_label, y_label, height)]
+    walls: list[Box] = []  # what names keep clear of
     if floor is not None and floor <= y.low:
-        where = f'x="{width - RIGHT - 4}" y="{height - BOTTOM - 6}"'
-        parts.append(
-            f'<text class="soft small" text-anchor="end" {where}>{escape(floor_label)}: {shown(floor)} ↓</text>'
-        )
+        below, right, foot = f"{floor_label}: {shown(floor)} ↓", width - RIGHT - 4, height - BOTTOM - 6
+        where = f'text-anchor="end" x="{right}" y="{foot}"'
+        parts.append(f'<text class="soft small" {where}>{escape(below)}</text>')
+        walls.append((right - CHARACTER * len(below), foot - 11, right, foot + 3))
     elif floor is not None:
         at = y.at(floor)
         parts.append(f'<line class="floor" x1="{LEFT}" x2="{width - RIGHT}" y1="{at:.1f}" y2="{at:.1f}"/>')
         parts.append(f'<text class="soft small" x="{LEFT + 4}" y="{at - 4:.1f}">{escape(floor_label)}</text>')
+        walls.append((LEFT + 4, at - 15, LEFT + 4 + CHARACTER * len(floor_label), at))
     front = sorted((p for p in points if p.front), key=lambda p: (p.x, -p.y))
-    walls: list[Box] = []
     if len(front) > 1:
         path = f"M{x.at(front[0].x):.1f} {y.at(front[0].y):.1f}"
         path += "".join(f"H{x.at(p.x):.1f}V{y.at(p.y):.1f}" for p in front[1:])
