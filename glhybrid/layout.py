@@ -394,10 +394,14 @@ CHANNELS: dict[str, Channel] = {
                     for kept, parts, form, meaning in (
                         ("history", 4, "rgba32f", "mean of all frames; over how many m it changes"),
                         ("counts", 2, "rg16f", "rays; root of the luminance about each pixel in the last frames"),
+                        ("counts_moving", 4, "rgba16f", "the same where things move; drift about each pixel"),
                         ("level", 2, "rg32f", "luminance about each pixel, its variance"),
                     )
                 ),
             )
+        ),
+        Channel(
+            "visibility_drift", 1, "f2", "r16f", "how far a shadow slides in a frame, over the length it changes over"
         ),
         Channel("denoise_moved", 4, "f4", "rgba32f", "how far the point has come since the frame before, m"),
         Channel("denoise_ping", 4, "f4", "rgba32f", "a signal between filters; variance of its luminance"),

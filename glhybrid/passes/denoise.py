@@ -10,8 +10,10 @@ compared by their own few samples, which leaves the rarest of these as specks an
 for round, which at a slant blurs it across by twice its width.
 """
 
+from math import tan
 from typing import Any
 
+from glhybrid.scene import Light
 from glhybrid.setup import Setup
 from glhybrid.targets import Targets
 
@@ -43,6 +45,7 @@ class Denoise:
                 shaders.compute("denoise_atrous", named.replace(denoise_last=True)),
             )
         self._odd = False
+        self._lights: dict[int, Light] = {}  # those with a size, as they were a frame ago
         self._sized = [i for i, light in enumerate(scene.lights) if light.has_size]
 
     def begin(self, targets: Targets, ids: Any) -> None:
@@ -56,7 +59,13 @@ class Denoise:
     def visibility(self, targets: Targets, image: Any) -> None:
         """Filters the layers of lights with a size, in place."""
         for light in self._sized if "visibility" in self._programs else ():
-            self._filter(targets, "visibility", image, {"layer": light})
+            now = self._scene.lights[light]
+            was = self._lights.get(light, now)
+            self._lights[light] = now
+            more = {"layer": light, "light_moved": _moved(was, now)}
+            if self._features.moving:
+                more["drift"] = targets.get("visibility_drift", layers=len(self._scene.lights))
+            self._filter(targets, "visibility", image, more)
 
     def indirect(self, targets: Targets, images: dict[str, Any]) -> None:
         """Filters the open share of the sky and every lobe's image, in place."""
@@ -67,11 +76,16 @@ class Denoise:
     def _now(self, name: str, before: bool = False) -> str:
         return f"{name}_odd" if self._odd != before else f"{name}_even"
 
+    def _drifts(self, signal: str) -> bool:
+        return self._features.moving and signal == "visibility"
+
     def _parameter(self, signal: str, name: str) -> Any:
         return self._settings.parameter(f"{KEYS.get(signal, 'reflections.ray-glossy')}.{name}")
 
     def _filter(self, targets: Targets, signal: str, image: Any, more: dict[str, Any]) -> None:
         layers = len(self._scene.lights) if signal == "visibility" else 0
+
+        counts = "counts_moving" if self._drifts(signal) else "counts"
 
         def get(part: str, before: bool = False) -> Any:
             return targets.get(self._now(f"{signal}_{part}", before), layers=layers)
@@ -81,9 +95,9 @@ class Denoise:
         resources = {
             **self._scene.resources, **more, "guide": targets.get(self._now("guide")),
             "guide_before": targets.get(self._now("guide", before=True)), "signal": image,
-            "history": get("history", before=True), "counts": get("counts", before=True),
+            "history": get("history", before=True), "counts": get(counts, before=True),
             "level_before": get("level", before=True),
-            "out_history": get("history"), "out_counts": get("counts"), "out_filtered": ping,
+            "out_history": get("history"), "out_counts": get(counts), "out_filtered": ping,
             "history_frames": float(self._parameter(signal, "history")),
             "samples": float(self._parameter(signal, "samples")),
         }  # fmt: skip
@@ -94,9 +108,19 @@ class Denoise:
         temporal.dispatch(resources, targets.size)
         resources["history"], resources["out_signal"] = get("history"), image
         level.dispatch(resources | {"filtered": ping, "out_level": get("level")}, targets.size)
-        resources |= {"level": get("level"), "counts": get("counts")}
+        resources |= {"level": get("level"), "counts": get(counts)}
         count = self._parameter(signal, "iterations")
         for i in range(count):
             resources |= {"filtered": ping, "out_filtered": pong, "stride": 1 << i}
             (last if i == count - 1 else step).dispatch(resources, targets.size)
             ping, pong = pong, ping
+
+
+def _moved(was: Light, now: Light) -> tuple[float, float, float, float]:
+    """How far a light has come, m or of its direction, and by how much it has grown, as its size is in layout Light."""
+    if was is now:
+        return 0.0, 0.0, 0.0, 0.0
+    sun = now.kind == "directional"
+    a, b = (x.direction if sun else x.position for x in (was, now))
+    grown = tan(now.angular_diameter / 2) - tan(was.angular_diameter / 2) if sun else now.radius - was.radius
+    return b[0] - a[0], b[1] - a[1], b[2] - a[2], grown

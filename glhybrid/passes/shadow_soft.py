@@ -18,6 +18,7 @@ class ShadowSoft:
         features, settings = setup.features, setup.settings
         self._program = setup.shaders.compute("shadow_soft", features)
         self._scene = setup.scene
+        self._drifts = features.moving and features.denoise_shadows
         self._rays = settings.parameter("shadows.ray-soft.samples")
         self.resources = {"disc_rays": settings.parameter("shadows.ray-soft.hit_samples")}
 
@@ -26,6 +27,8 @@ class ShadowSoft:
         count = len(self._scene.lights)
         visibility = targets.get(self.channel, layers=count)
         resources = {**self._scene.resources, "gbuffer_id": ids, "out_visibility": visibility, "rays": self._rays}
+        if self._drifts:
+            resources["out_drift"] = targets.get("visibility_drift", layers=count)
         lights = max(1, RAYS_AT_ONCE // self._rays)
         for first in range(0, count, lights):
             end = min(first + lights, count)

@@ -323,12 +323,11 @@ vec3 any_hit(Ray ray) {
     return tint;
 }
 
-// The same, and how far away something blocks or tints, if not the nearest; INFINITY: nothing does.
-vec3 any_hit(Ray ray, out float distance) {
-    Hit hit = MISS;
+// The same, and what blocks or tints, if not the nearest; MISS: nothing does.
+vec3 any_hit(Ray ray, out Hit hit) {
+    hit = MISS;
     vec3 tint = vec3(1.0);
     traverse(ray, SEE_BLOCKERS, hit, tint);
-    distance = hit.t;
     return tint;
 }
 

@@ -21,6 +21,13 @@ uniform int layer;           // of the light
 #define AT(px) (px)
 #endif
 
+#define DRIFTS (USE_MOVING && USE_DENOISE_SIGNAL == 3)
+#if DRIFTS
+#define COUNTS_FORMAT rgba16f
+#else
+#define COUNTS_FORMAT rg16f
+#endif
+
 struct Guide { vec3 position, n; float depth, roughness; uint record; };
 
 // The world's point at a depth along the view axis, under the middle of a pixel.

@@ -11,23 +11,26 @@ uniform usamplerBuffer previous_vertices;
 
 vec3 previous_vertex(uint i) { return uintBitsToFloat(texelFetch(previous_vertices, int(i) * 2).xyz); }
 
-vec3 previous_position(Pixel p, vec3 position) {
-    mat4x3 m = previous_instances[p.hit.instance].world_from_object;
-    uvec4 tri = texelFetch(triangles, int(p.hit.triangle));
+vec3 previous_position(Hit hit, vec3 position_ws) {
+    mat4x3 m = previous_instances[hit.instance].world_from_object;
+    uvec4 tri = texelFetch(triangles, int(hit.triangle));
     vec3 v0 = previous_vertex(tri.x);
     vec3 e1 = previous_vertex(tri.y) - v0, e2 = previous_vertex(tri.z) - v0;
     // What has not moved is the same point: not rebuilt, since drivers may round the same sums apart.
     vec3 now_0 = vertex_position(tri.x);
-    if (m == instance_row(p.hit.instance).world_from_object && v0 == now_0 && e1 == vertex_position(tri.y) - now_0 &&
-        e2 == vertex_position(tri.z) - now_0) return position;
-    vec3 p_os = interpolate(v0, e1, e2, p.hit.bary);
-    if (SPHERES && hit_group_of(p.hit.instance, tri.w).kind == KIND_SPHERE) {
-        Instance inst = instance_row(p.hit.instance);
-        p_os = mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]) * position
+    if (m == instance_row(hit.instance).world_from_object && v0 == now_0 && e1 == vertex_position(tri.y) - now_0 &&
+        e2 == vertex_position(tri.z) - now_0) return position_ws;
+    vec3 p_os = interpolate(v0, e1, e2, hit.bary);
+    if (SPHERES && hit_group_of(hit.instance, tri.w).kind == KIND_SPHERE) {
+        Instance inst = instance_row(hit.instance);
+        p_os = mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]) * position_ws
              + inst.object_from_world[3];
     }
     return transform_point(m, p_os);
 }
+
+// By which share of the length over which it changes what is seen there slides in a frame.
+float drift_of(vec3 by, float over) { return min(length(by) / max(over, 1e-30), 1e3); }
 #else
-vec3 previous_position(Pixel p, vec3 position) { return position; }
+vec3 previous_position(Hit hit, vec3 position_ws) { return position_ws; }
 #endif

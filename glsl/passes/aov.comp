@@ -40,7 +40,7 @@ uvec4 of_material(Pixel p) {
 // To where the point was a frame ago, pixels, y down. What stands still is 0, however drivers round.
 uvec4 of_motion(Pixel p) {
     if (!covered(p)) return uvec4(0u);
-    vec3 position = point_at(p.hit, p.ray).position, from = previous_position(p, position);
+    vec3 position = point_at(p.hit, p.ray).position, from = previous_position(p.hit, position);
     if (from == position && frame.previous_clip_from_world == frame.clip_from_world) return uvec4(0u);
     vec4 now = frame.clip_from_world * vec4(position, 1.0), before = frame.previous_clip_from_world * vec4(from, 1.0);
     vec2 moved = (before.xy / before.w - now.xy / now.w) * 0.5 * vec2(frame.size_px);

@@ -18,7 +18,7 @@ void main() {
         Surface s = load_surface(p);
         float depth = dot(s.point.position - frame.eye_ws, frame.forward_ws);
         result = pack_guide(s.bsdf.n, depth, s.record, s.bsdf.roughness, s.bsdf.clearcoat_roughness);
-        moved = s.point.position - previous_position(p, s.point.position);
+        moved = s.point.position - previous_position(p.hit, s.point.position);
     }
     imageStore(out_guide, px, result);
 #if USE_MOVING

@@ -20,17 +20,23 @@ uniform usampler2D guide_before;
 #if USE_MOVING
 uniform sampler2D moved;
 #endif
+#if DRIFTS
+uniform SIGNAL_SAMPLER drift;            // of what this frame's rays met, over the length over which the signal changes
+#endif
+#if USE_DENOISE_SIGNAL == 3
+uniform vec4 light_moved;                // position, m, or direction; size
+#endif
 uniform float history_frames, samples;
 #if USE_REUSE
 #include "lib/reuse.glsl"
 #endif
 layout(SIGNAL_FORMAT) writeonly uniform SIGNAL_IMAGE out_history;
-layout(rg16f) writeonly uniform SIGNAL_IMAGE out_counts;
+layout(COUNTS_FORMAT) writeonly uniform SIGNAL_IMAGE out_counts;
 layout(rgba32f) writeonly uniform image2D out_filtered;    // mean; a: variance of its luminance, < 0: not to be touched
 
 // This frame's samples about the pixel. All of luminance; variance: of one sample, within pixels if these hold several;
-// worth: how many equal pixels would be as good.
-struct Near { float mean, variance, extent, distance, nearest, worth; };
+// worth: how many equal pixels would be as good. drift: of what moves.
+struct Near { float mean, variance, extent, distance, nearest, worth, drift; };
 
 bool has_signal(vec4 s) { return (IS_VISIBILITY ? s.a >= 0.0 : s.a > 0.0) && is_finite(s.rgb); }
 
@@ -55,6 +61,8 @@ float length_of(vec4 s, Guide g) {
 }
 
 Near look_around(ivec2 px, Guide g) {
+    Near near;
+    near.drift = 0.0;
     float sum = 0.0, squares = 0.0, within = 0.0, nearness = 0.0, weight = 0.0, weights2 = 0.0, known = 0.0, several = 0.0, inverse = 0.0, inverse2 = 0.0;
     for (int y = -LEVEL_REACH; y <= LEVEL_REACH; y++)
         for (int x = -LEVEL_REACH; x <= LEVEL_REACH; x++) {
@@ -76,8 +84,10 @@ Near look_around(ivec2 px, Guide g) {
             inverse2 += w / square(max(s.a, 1e-15));
             float len = length_of(s, g);
             if (len > 0.0) { nearness += w / len; known += w; }
+#if DRIFTS
+            near.drift = max(near.drift, texelFetch(drift, AT(q), 0).x);
+#endif
         }
-    Near near;
     near.worth = square(weight) / weights2;
     near.mean = sum / weight;
     near.variance = max(squares / weight - square(near.mean), 0.0);
@@ -136,6 +146,21 @@ float resampled(vec2 f, Guide g, float extent) {
 }
 #endif
 
+#if USE_DENOISE_SIGNAL == 3
+// Shadows of what stands still slide as far as the light turns, seen from here, and change over as much as it is wide.
+float light_drift(Guide g) {
+    if (light_moved == vec4(0.0)) return 0.0;
+    Light now = lights[layer], was = now;
+    was.position -= light_moved.xyz;
+    was.direction -= light_moved.xyz;
+    was.size -= light_moved.w;
+    LightSample a = light_at(now, g.position), b = light_at(was, g.position);
+    bool sun = now.kind == LIGHT_DIRECTIONAL;
+    float size = sun ? now.size : now.size / a.distance, before = sun ? was.size : was.size / b.distance;
+    return 2.0 * (distance(a.dir, b.dir) + abs(size - before)) / max(size, 1e-6);
+}
+#endif
+
 Past look_back(ivec2 px, Guide g, Near near) {
     Past past = NO_PAST;
     if (frame.history == HISTORY_NONE) return past;
@@ -167,7 +192,7 @@ Past look_back(ivec2 px, Guide g, Near near) {
     past.drift = DRIFT * pixel_width(g.depth) * distance(at, pixel_before(was)) / max(near.extent, 1e-30);
     ivec2 corner = ivec2(floor(at));
     vec2 f = at - floor(at);
-    float weight = 0.0;
+    float weight = 0.0, gone = 0.0;
     for (int i = 0; i < 4; i++) {
         ivec2 q = corner + ivec2(i & 1, i >> 1);
         float w = ((i & 1) == 1 ? f.x : 1.0 - f.x) * ((i >> 1) == 1 ? f.y : 1.0 - f.y);
@@ -176,8 +201,11 @@ Past look_back(ivec2 px, Guide g, Near near) {
         if (bits.z != g.record || dot(guide_normal(bits), g.n) < 0.9) continue;
         // A visibility stays with its point; a reflection is only held to its surface, whose depth there is another.
         if (IS_VISIBILITY && abs(uintBitsToFloat(bits.y) - depth) > 0.02 * abs(depth) + 4.0 * pixel_width(depth)) continue;
-        vec2 count = texelFetch(counts, AT(q), 0).xy;
+        vec3 count = texelFetch(counts, AT(q), 0).xyz;
         if (count.x <= 0.0) continue;
+#if DRIFTS
+        gone = max(gone, count.z);
+#endif
         vec2 about = texelFetch(level_before, AT(q), 0).xy;
         past.mean += w * texelFetch(history, AT(q), 0);
         past.samples += w * count.x;
@@ -193,8 +221,10 @@ Past look_back(ivec2 px, Guide g, Near near) {
     past.samples /= weight;
     past.variance /= weight;
 #if USE_DENOISE_SIGNAL == 3
-    past.drift = resampled(f, g, near.extent > 0.0 ? near.extent : past.mean.a);
+    past.drift = resampled(f, g, near.extent > 0.0 ? near.extent : past.mean.a) + light_drift(g);
 #endif
+    // Where it was a frame ago it may not be now.
+    past.drift = max(past.drift, max(near.drift, gone));
     return past;
 }
 
@@ -237,7 +267,7 @@ void main() {
     vec4 s = texelFetch(signal, AT(px), 0);
     vec4 mean = vec4(s.rgb, 0.0), filtered = vec4(s.rgb, -1.0);
     if (!is_finite(s.rgb)) mean = filtered = vec4(0.0);                    // what is not light: black, for one frame
-    float count = 0.0, lately = 0.0;
+    float count = 0.0, lately = 0.0, drifts = 0.0;
     vec2 n = is_surface(bits) && has_signal(s) ? noise_of(px, s) : vec2(0.0);
     if (n.y > 0.0) {
         Guide g = unpack_guide(bits, vec2(px));
@@ -247,6 +277,7 @@ void main() {
         if (past.samples > 0.0) forget(past, near, n.y);
         else past.lately = near.mean;
         lately = past.lately;
+        drifts = near.drift;
 #if USE_REUSE
         float trusted = min(past.samples, 8.0 * (frames_of(past.drift, n.y) - 1.0) * n.y);
         Reused reused = reuse_rays(px, g, toward_eye(g), length_of(vec4(near.nearest), g), near.nearest, trusted);
@@ -268,6 +299,6 @@ void main() {
         filtered = vec4(mean.rgb, max(mix(past.variance, near.variance, now), 0.0) / as_random(count));
     }
     imageStore(out_history, AT(px), mean);
-    imageStore(out_counts, AT(px), vec4(min(vec2(count, sqrt(lately)), MOST_HALF), 0.0, 0.0));
+    imageStore(out_counts, AT(px), vec4(min(vec3(count, sqrt(lately), drifts), MOST_HALF), 0.0));
     imageStore(out_filtered, px, filtered);
 }

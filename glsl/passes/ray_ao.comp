@@ -26,12 +26,13 @@ vec2 open_share(Surface s, ivec2 px) {
         float r = sqrt(xi.x), phi = 2.0 * PI * xi.y;
         vec3 dir = frame_n * vec3(r * cos(phi), r * sin(phi), sqrt(max(0.0, 1.0 - xi.x)));
         if (dot(dir, s.point.n_geo) <= 0.0) continue;
-        float distance;
-        vec3 light = any_hit(Ray(ray_origin(s.point, dir), 0.0, dir, ao_radius), distance);
+        Hit hit;
+        Ray ray = Ray(ray_origin(s.point, dir), 0.0, dir, ao_radius);
+        vec3 light = any_hit(ray, hit);
         open += (light.r + light.g + light.b) / 3.0;
         asked += 1.0;
-        if (distance < ao_radius) {
-            nearness += 1.0 / max(distance, 1e-30);
+        if (hit.t < ao_radius) {
+            nearness += 1.0 / max(hit.t, 1e-30);
             met += 1.0;
         }
     } END_FOR(i, ray_end)
