@@ -400,8 +400,13 @@ CHANNELS: dict[str, Channel] = {
                 ),
             )
         ),
-        Channel(
-            "visibility_drift", 1, "f2", "r16f", "how far a shadow slides in a frame, over the length it changes over"
+        *(
+            Channel(f"{signal}_drift", 1, "f2", "r16f", f"how far {what} slide in a frame, over what they change over")
+            for signal, what in (
+                ("reflection", "reflections"),
+                ("reflection_coat", "those of the clearcoat"),
+                ("visibility", "shadows"),
+            )
         ),
         Channel("denoise_moved", 4, "f4", "rgba32f", "how far the point has come since the frame before, m"),
         Channel("denoise_ping", 4, "f4", "rgba32f", "a signal between filters; variance of its luminance"),

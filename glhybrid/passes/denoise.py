@@ -63,8 +63,6 @@ class Denoise:
             was = self._lights.get(light, now)
             self._lights[light] = now
             more = {"layer": light, "light_moved": _moved(was, now)}
-            if self._features.moving:
-                more["drift"] = targets.get("visibility_drift", layers=len(self._scene.lights))
             self._filter(targets, "visibility", image, more)
 
     def indirect(self, targets: Targets, images: dict[str, Any]) -> None:
@@ -77,7 +75,7 @@ class Denoise:
         return f"{name}_odd" if self._odd != before else f"{name}_even"
 
     def _drifts(self, signal: str) -> bool:
-        return self._features.moving and signal == "visibility"
+        return self._features.moving and signal != "occlusion"
 
     def _parameter(self, signal: str, name: str) -> Any:
         return self._settings.parameter(f"{KEYS.get(signal, 'reflections.ray-glossy')}.{name}")
@@ -105,6 +103,8 @@ class Denoise:
             resources["rays"] = targets.get(f"{signal}_rays", layers=self._parameter(signal, "samples"))
         if self._features.moving:
             resources["moved"] = targets.get("denoise_moved")
+        if self._drifts(signal):
+            resources["drift"] = targets.get(f"{signal}_drift", layers=layers)
         temporal.dispatch(resources, targets.size)
         resources["history"], resources["out_signal"] = get("history"), image
         level.dispatch(resources | {"filtered": ping, "out_level": get("level")}, targets.size)

@@ -59,6 +59,8 @@ class Glossy:
             resources["out_reflection"] = targets.get(lobe)
             if self._features.denoise:
                 resources["out_noise"] = targets.get(f"{lobe}_noise")
+            if self._features.denoise and self._features.moving:
+                resources["out_drift"] = targets.get(f"{lobe}_drift")
             if self._reuses[lobe]:
                 resources["out_rays"] = targets.get(f"{lobe}_rays", layers=self._rays)
             for first in range(0, self._rays, self._at_once):

@@ -21,7 +21,7 @@ uniform int layer;           // of the light
 #define AT(px) (px)
 #endif
 
-#define DRIFTS (USE_MOVING && USE_DENOISE_SIGNAL == 3)
+#define DRIFTS (USE_MOVING && USE_DENOISE_SIGNAL <= 3)
 #if DRIFTS
 #define COUNTS_FORMAT rgba16f
 #else
@@ -70,9 +70,6 @@ LobeAxes lobe_axes(vec3 n, vec3 v) {
     across = slant > 1e-4 ? across / slant : basis(v)[0];
     return LobeAxes(across, cross(v, across), cross(n, across), clamp(dot(n, v), 0.05, 1.0));
 }
-
-// Of a lobe: tangent of its deviation. Half of GGX's half vectors are in it, and what is reflected turns twice as far.
-float lobe_tangent(Guide g) { return 1.4 * square(g.roughness); }
 
 vec3 toward_eye(Guide g) { return frame.orthographic == 1u ? -frame.forward_ws : normalize(frame.eye_ws - g.position); }
 

@@ -1,10 +1,15 @@
 // lib/glossy_rays.glsl -- what the programs of `ray-glossy` share: which rays a pixel sends, and how what they bring adds up.
 #include "lib/gbuffer.glsl"
+#include "lib/motion.glsl"
 #include "lib/glossy.glsl"
 
 layout(rgba32f) uniform image2D out_reflection;    // radiance; distance, the harmonic mean (inf: sky, 0: no ray)
 #if USE_DENOISE
 layout(rg16f) uniform image2D out_noise;           // mean square of the luminance over the square of its mean; rays
+#endif
+#define DRIFTS (USE_MOVING && USE_DENOISE)
+#if DRIFTS
+layout(r16f) uniform image2D out_drift;            // how far what is seen slides in a frame, over the length it changes over
 #endif
 #if USE_REUSE
 layout(rgba32ui) writeonly uniform uimage2DArray out_rays;    // direction; distance; radiance; how many
@@ -17,7 +22,8 @@ uniform int rays, ray_first, ray_end;              // a pixel at most; those of 
 const uint GLOSSY_SEQUENCE = 0x6105u, SKY_SEQUENCE = 0x5C1Eu;
 
 // A pixel's lobe. count: rays that it sends; reason: why there are none.
-struct Shine { Surface s; Lobe lobe; vec3 v, albedo; int count; uint reason; };
+// came, turned: how far its point has come since the frame before, m, and its normal.
+struct Shine { Surface s; Lobe lobe; vec3 v, albedo, came; float turned; int count; uint reason; };
 
 // The noise of a ray grows with the lobe, up to a roughness of a quarter, where a few of them are worth their time.
 int rays_of(Lobe lobe) {
@@ -35,6 +41,10 @@ Shine shine_of(Pixel p) {
     a.lobe = GLOSSY_COAT ? coat_lobe(a.s.bsdf) : base_lobe(a.s.bsdf);
     a.albedo = GLOSSY_COAT ? vec3(a.s.bsdf.clearcoat) : specular_albedo(a.s.bsdf, a.v);
     if (a.s.unlit || max3(a.albedo) <= 0.0) return a;
+#if DRIFTS
+    a.came = a.s.point.position - previous_position(p.hit, a.s.point.position);
+    a.turned = turned(p.hit, a.lobe.n);
+#endif
     if (is_traced(a.lobe)) a.count = rays_of(a.lobe);
     else a.reason = REASON_ROUGH;
     return a;
@@ -74,20 +84,30 @@ Drawn draw_ray(Shine a, ivec2 px, int i) {
     return d;
 }
 
-struct Gathered { vec3 sum; float squares, nearness; int rays; };   // nearness: sum of 1 / distance
+// nearness: sum of 1 / distance; drifts: of squares.
+struct Gathered { vec3 sum; float squares, nearness, drifts; int rays; };
+const Gathered NOTHING = Gathered(vec3(0.0), 0.0, 0.0, 0.0, 0);
 
 // Adds what ray i sees, times its weight; beside: what came by other ways at its turn.
-void gather(inout Gathered g, Shine a, ivec2 px, int i, Drawn d, float distance, vec3 seen, vec3 beside) {
+void gather(inout Gathered g, Shine a, ivec2 px, int i, Drawn d, Hit hit, vec3 seen, vec3 beside) {
     if (!is_finite(seen)) seen = vec3(0.0);                                // min() of it would be the brightest of all
     if (!is_finite(beside)) beside = vec3(0.0);
     if (d.sent) {
-        g.nearness += 1.0 / max(distance, 1e-30);
+        g.nearness += 1.0 / max(hit.t, 1e-30);
         g.rays++;
+#if DRIFTS
+        float tangent = lobe_tangent(a.lobe.roughness), drift = 2.0 * a.turned / tangent;
+        if (hit.triangle != ID_NONE) {
+            vec3 met = a.s.point.position + hit.t * d.dir, slid = met - previous_position(hit, met) - a.came;
+            drift += drift_of(slid - dot(slid, d.dir) * d.dir, tangent * hit.t);
+        }
+        g.drifts += square(min(drift, 100.0));
+#endif
     }
     g.sum += seen + beside;
     g.squares += square(luminance(seen + beside));
 #if USE_REUSE
-    imageStore(out_rays, ivec3(px, i), uvec4(packUnorm2x16(oct_encode(d.dir)), floatBitsToUint(d.sent ? distance : INFINITY),
+    imageStore(out_rays, ivec3(px, i), uvec4(packUnorm2x16(oct_encode(d.dir)), floatBitsToUint(d.sent ? hit.t : INFINITY),
                                              packHalf2x16(min(seen.xy, vec2(6e4))), packHalf2x16(vec2(min(seen.z, 6e4), is_mirror(a.lobe) ? 0.0 : float(a.count)))));
 #endif
 }
@@ -122,6 +142,11 @@ void store_rays(ivec2 px, Shine a, Gathered g, bool bent, int first, int end) {
         else if (isinf(result.a)) reason = REASON_ENVIRONMENT;
     }
     imageStore(out_reflection, px, result);
+#if DRIFTS
+    float drift = a.count > 0 ? g.drifts : 0.0;
+    if (first > 0) drift += square(imageLoad(out_drift, px).x) * float(first);
+    imageStore(out_drift, px, vec4(sqrt(drift / float(max(end, 1)))));
+#endif
 #if USE_DENOISE
     imageStore(out_noise, px, vec4(noise, 0.0, 0.0));
 #endif

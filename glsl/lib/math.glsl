@@ -56,3 +56,6 @@ vec3 oct_decode(vec2 uv) {
     if (d.z < 0.0) d.xy = (1.0 - abs(d.yx)) * vec2(d.x >= 0.0 ? 1.0 : -1.0, d.y >= 0.0 ? 1.0 : -1.0);
     return normalize(d);
 }
+
+// Of a GGX lobe: tangent of its deviation. Half of the half vectors are in it, and what is reflected turns twice as far.
+float lobe_tangent(float roughness) { return 1.4 * square(roughness); }

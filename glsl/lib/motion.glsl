@@ -29,7 +29,27 @@ vec3 previous_position(Hit hit, vec3 position_ws) {
     return transform_point(m, p_os);
 }
 
-// By which share of the length over which it changes what is seen there slides in a frame.
+// By how much a surface has turned since then, as the distance of two unit normals.
+float turned(Hit hit, vec3 n_ws) {
+    mat4x3 m = previous_instances[hit.instance].world_from_object;
+    Instance inst = instance_row(hit.instance);
+    vec3 n_os = mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]) * n_ws;
+#if USE_DEFORMING
+    uvec4 tri = texelFetch(triangles, int(hit.triangle));
+    if (!SPHERES || hit_group_of(hit.instance, tri.w).kind != KIND_SPHERE) {
+        vec3 v0 = vertex_position(tri.x), u0 = previous_vertex(tri.x);
+        vec3 now = cross(vertex_position(tri.y) - v0, vertex_position(tri.z) - v0);
+        vec3 before = cross(previous_vertex(tri.y) - u0, previous_vertex(tri.z) - u0);
+        if (now != before) n_os += length(n_os) * sign(dot(n_os, now)) * (normalize(before) - normalize(now));
+    }
+#else
+    if (m == inst.world_from_object) return 0.0;
+#endif
+    return distance(n_ws, normalize(mat3(m[0], m[1], m[2]) * n_os));
+}
+
+// What a ray shows slides with what it met and with the surface that it left, whose normal has turned as well: how far in a
+// frame, over the length it changes over. by, over: m.
 float drift_of(vec3 by, float over) { return min(length(by) / max(over, 1e-30), 1e3); }
 #else
 vec3 previous_position(Hit hit, vec3 position_ws) { return position_ws; }

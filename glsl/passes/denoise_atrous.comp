@@ -71,7 +71,7 @@ void main() {
 #else
         // A lobe as narrow as a pixel has no noise to speak of: what differs between pixels is what it shows.
         float least = LEAST_PIXELS * width;
-        if (!IS_VISIBILITY && frame.orthographic == 0u) least = min(least, LEAST_SHARE * lobe_tangent(g) * g.depth);
+        if (!IS_VISIBILITY && frame.orthographic == 0u) least = min(least, LEAST_SHARE * lobe_tangent(g.roughness) * g.depth);
         float len = max(LENGTH_SHARE * texelFetch(history, AT(px), 0).a, least), farthest = len;
         LobeAxes axes = lobe_axes(g.n, toward_eye(g));
         float len_across = max(len * axes.NoV, least);

@@ -57,7 +57,7 @@ float length_of(vec4 s, Guide g) {
     if (IS_VISIBILITY) return 0.5 * s.a;                                   // of an even disc half its radius
     float t = frame.orthographic == 1u ? INFINITY : g.depth;
     float far = min(s.a, 1e15);
-    return lobe_tangent(g) * (t < INFINITY ? far * t / (far + t) : far);
+    return lobe_tangent(g.roughness) * (t < INFINITY ? far * t / (far + t) : far);
 }
 
 Near look_around(ivec2 px, Guide g) {
@@ -85,7 +85,7 @@ Near look_around(ivec2 px, Guide g) {
             float len = length_of(s, g);
             if (len > 0.0) { nearness += w / len; known += w; }
 #if DRIFTS
-            near.drift = max(near.drift, texelFetch(drift, AT(q), 0).x);
+            near.drift = max(near.drift, texelFetch(drift, AT(q), 0).x); // as sharp as pixels it may be
 #endif
         }
     near.worth = square(weight) / weights2;
@@ -295,7 +295,7 @@ void main() {
         count = past.samples + n.y;
         float now = min(n.y / count, 1.0);                                 // x / x may be more: drivers divide to 2.5 ulp
         mean.rgb = mix(past.mean.rgb, s.rgb, now);
-        mean.a = past.samples > 0.0 && past.mean.a > 0.0 && near.extent > 0.0 ? mix(past.mean.a, near.extent, now) : max(near.extent, past.mean.a);
+        mean.a = near.extent <= 0.0 ? past.mean.a : past.samples > 0.0 && past.mean.a > 0.0 ? mix(past.mean.a, near.extent, now) : near.extent;
         filtered = vec4(mean.rgb, max(mix(past.variance, near.variance, now), 0.0) / as_random(count));
     }
     imageStore(out_history, AT(px), mean);

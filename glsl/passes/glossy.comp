@@ -66,7 +66,7 @@ void main() {
     Shine a = shine_of(p);
     int end = min(ray_end, a.count);
     if (ray_first > 0 && ray_first >= end) return;
-    Gathered g = Gathered(vec3(0.0), 0.0, 0.0, 0);
+    Gathered g = NOTHING;
     bool bent = false;
 #if USE_SKY_SAMPLES
     uvec2 sky_start = sequence_start(px, SKY_SEQUENCE + uint(GLOSSY_COAT), frame.seed);
@@ -75,7 +75,8 @@ void main() {
     FOR_EACH(int, i, ray_first, end) {
         Drawn d = draw_ray(a, px, i);
         bent = d.bent;
-        float sky = 1.0, distance = INFINITY;
+        float sky = 1.0;
+        Hit hit = MISS;
         vec3 seen = vec3(0.0), beside = vec3(0.0);
 #if USE_SKY_SAMPLES
         if (!is_mirror(a.lobe)) {
@@ -94,16 +95,14 @@ void main() {
         }
 #endif
         if (d.sent) {
-            Hit hit;
             Ray ray = Ray(ray_origin(a.s.point, d.dir), 0.0, d.dir, INFINITY);
             seen = trace_radiance(ray, footprint(p.hit.t), frame.orthographic == 1u ? 0.0 : frame.pixel_angle, sky, hit);
-            distance = hit.t;
 #if USE_EMITTERS
             if (!is_mirror(a.lobe)) seen = max(seen - counted_twice(ray, hit, ggx_pdf(a.lobe.n, a.v, d.h, a.lobe.alpha)), vec3(0.0));
 #endif
             seen *= d.weight;
         }
-        gather(g, a, px, i, d, distance, seen, beside);
+        gather(g, a, px, i, d, hit, seen, beside);
     } END_FOR(i, end)
     store_rays(px, a, g, bent, ray_first, end);
 }

@@ -14,7 +14,7 @@ void main() {
     Pixel p = load_pixel(px);
     Shine a = shine_of(p);
     if (ray_first > 0 && ray_first >= a.count) return;
-    Gathered g = Gathered(vec3(0.0), 0.0, 0.0, 0);
+    Gathered g = NOTHING;
     bool bent = false;
     if (a.count > 0) {
         Drawn d = draw_ray(a, px, ray_first);
@@ -30,7 +30,7 @@ void main() {
             float spread = frame.orthographic == 1u ? 0.0 : frame.pixel_angle;
             seen = d.weight * shade_hit(hit, ray, footprint(p.hit.t) + spread * hit.t, lit);
         } else if (d.sent) seen = d.weight * environment_radiance(ray.dir);
-        gather(g, a, px, ray_first, d, hit.t, seen, vec3(0.0));
+        gather(g, a, px, ray_first, d, hit, seen, vec3(0.0));
     }
     store_rays(px, a, g, bent, ray_first, min(ray_first + 1, a.count));
 }
