@@ -13,6 +13,9 @@ vec3 previous_vertex(uint i) { return uintBitsToFloat(texelFetch(previous_vertic
 
 vec3 previous_position(Hit hit, vec3 position_ws) {
     mat4x3 m = previous_instances[hit.instance].world_from_object;
+#if !USE_DEFORMING
+    if (m == instance_row(hit.instance).world_from_object) return position_ws;
+#endif
     uvec4 tri = texelFetch(triangles, int(hit.triangle));
     vec3 v0 = previous_vertex(tri.x);
     vec3 e1 = previous_vertex(tri.y) - v0, e2 = previous_vertex(tri.z) - v0;
