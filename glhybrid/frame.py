@@ -96,7 +96,7 @@ class Passes:
         denoise = self.denoise
         indirect: dict[str, Any] = {}
         if denoise is not None:
-            timed(denoise.name, lambda: denoise.begin(targets, ids))
+            timed(denoise.name, lambda: denoise.begin(targets, ids, self._constants.sky))
         if isinstance(reflect, ReflectSparse):
             sparse = reflect
             timed(reflect.name, lambda: sparse.begin(targets, ids))

@@ -52,6 +52,11 @@ class FrameConstants:
             tone_map=layout.CONSTANTS[f"TONE_{settings.tone.upper().replace('-', '_')}"], **self._turn[1],
         )  # fmt: skip
 
+    @property
+    def sky(self) -> dict[str, Any]:
+        """Turn and intensity of the environment, by field."""
+        return {} if self._turn is None else self._turn[1]
+
     def put(self, **values: Any) -> None:
         """Changes fields; upload() sends them."""
         known = self._put

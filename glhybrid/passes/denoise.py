@@ -18,6 +18,9 @@ from glhybrid.setup import Setup
 from glhybrid.targets import Targets
 
 SIGNALS = {"reflection": 1, "reflection_coat": 2, "visibility": 3, "occlusion": 4}  # as in lib/denoise.glsl
+# By how many standard deviations history may be off what is seen: what chance explains; where lights have changed, and
+# so most of it is no chance.
+TOLERANCE, RELIT = 3.0, 0.3
 KEYS = {"visibility": "shadows.ray-soft", "occlusion": "ao.ray"}  # of others: reflections.ray-glossy
 
 
@@ -44,13 +47,19 @@ class Denoise:
                 shaders.compute("denoise_atrous", named),
                 shaders.compute("denoise_atrous", named.replace(denoise_last=True)),
             )
-        self._odd = False
+        self._odd = self._relit = False
+        self._lit: tuple[Any, object] | None = None  # lights and sky of the frame before
         self._lights: dict[int, Light] = {}  # those with a size, as they were a frame ago
         self._sized = [i for i, light in enumerate(scene.lights) if light.has_size]
 
-    def begin(self, targets: Targets, ids: Any) -> None:
-        """The guide of this frame; the one before becomes history, with all images of its signals."""
+    def begin(self, targets: Targets, ids: Any, sky: object) -> None:
+        """The guide of this frame; the one before becomes history, with all images of its signals.
+
+        sky: what is equal as long as the environment is.
+        """
         self._odd = not self._odd
+        before, self._lit = self._lit, (self._scene.lights, sky)
+        self._relit = before is not None and (before[0] is not self._lit[0] or before[1] != sky)
         resources = {**self._scene.resources, "gbuffer_id": ids, "out_guide": targets.get(self._now("guide"))}
         if self._features.moving:
             resources["out_moved"] = targets.get("denoise_moved")
@@ -98,6 +107,7 @@ class Denoise:
             "out_history": get("history"), "out_counts": get(counts), "out_filtered": ping,
             "history_frames": float(self._parameter(signal, "history")),
             "samples": float(self._parameter(signal, "samples")),
+            "tolerance": RELIT if self._relit and signal.startswith("reflection") else TOLERANCE,
         }  # fmt: skip
         if self._reuses[signal]:
             resources["rays"] = targets.get(f"{signal}_rays", layers=self._parameter(signal, "samples"))

@@ -27,6 +27,7 @@ uniform SIGNAL_SAMPLER drift;            // of what this frame's rays met, over 
 uniform vec4 light_moved;                // position, m, or direction; size
 #endif
 uniform float history_frames, samples;
+uniform float tolerance;                 // standard deviations by which the level may differ from its past
 #if USE_REUSE
 #include "lib/reuse.glsl"
 #endif
@@ -233,7 +234,7 @@ const float LEAST_CHANGE = 2e-3;         // roundings of half floats, twice
 // History that what was seen since contradicts is moved to what that allows, and counts for less. What is compared are means
 // about the pixel: its own past is as noisy as it is young. chance: variance of their difference.
 void hold(inout Past past, float seen, float chance) {
-    float allowed = 3.0 * sqrt(chance) + LEAST_CHANGE * seen;
+    float allowed = tolerance * sqrt(chance) + LEAST_CHANGE * seen;
     float off = abs(past.level - seen);
     if (off <= allowed) return;
     float keep = allowed / off, now = max(seen + (past.level - seen) * keep, 0.0), scale = now / max(past.level, 1e-9);
