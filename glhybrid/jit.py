@@ -13,6 +13,7 @@ import logging
 import os
 import sys
 import tempfile
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from glhybrid import interrupts
 
 log = logging.getLogger("glhybrid")
 _refused: set[Path] = set()  # folders that take no more
+_declaring = threading.Lock()  # Numba's configuration is everybody's
 
 
 def cache_dir() -> Path:
@@ -86,27 +88,27 @@ def kernel(signature: Any, **options: Any) -> Callable[[Any], Any]:
     config: Any = numba_config
 
     def compile_now(function: Any) -> Any:
+        with _declaring, interrupts.deferred():  # LLVM calls Python back, and what is raised there is lost
+            return declared(function)
+
+    def declared(function: Any) -> Any:
         folder = Path(config.CACHE_DIR) if config.CACHE_DIR else cache_dir() / "numba"
         off = os.environ.get("GLHYBRID_CACHE") == "off" and not config.CACHE_DIR
         folder /= _borrowed(function)
         cached = not off and folder not in _refused and writable(folder)
         if not cached or next(folder.rglob("*.nbi"), None) is None:
             _announce(cached)
-        before, config.CACHE_DIR = (
-            config.CACHE_DIR,
-            str(folder),
-        )  # read while the kernel is declared; others keep theirs
+        # Read while the kernel is declared; others keep theirs.
+        before, config.CACHE_DIR = config.CACHE_DIR, str(folder)
         declare = functools.partial(numba.njit, signature, nogil=True, error_model="numpy", **options)
         try:
-            with interrupts.deferred():  # LLVM calls Python back, and what is raised there is lost
-                return declare(cache=cached)(function)
+            return declare(cache=cached)(function)
         except OSError as error:  # a full disk
             if not cached:
                 raise
             _refused.add(folder)
             log.warning("%s: compiled kernels cannot be kept: %s", folder, error.strerror or error)
-            with interrupts.deferred():
-                return declare(cache=False)(function)
+            return declare(cache=False)(function)
         finally:
             config.CACHE_DIR = before
 

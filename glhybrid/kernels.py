@@ -68,7 +68,8 @@ class Kernels:
         self.name, self.loaded, self.spent = name, False, 0.0
         self._what, self._modules, self._compiling_s = what, modules, compiling_s
         self._lock = threading.RLock()
-        self._ready = self._started = self._alone = False
+        self._ready = self._started = self._loading = self._alone = False
+        self._process: subprocess.Popen[bytes] | None = None  # that compiles them
         self._look = 0.0
         self._kernels: list[_Kernel] = []
         self._helpers: set[Any] = set()
@@ -121,7 +122,9 @@ class Kernels:
             return self.loaded
         asked, ready = mode(), self.ready()
         price = LOADING_S if ready else self._compiling_s
-        if asked == "first" or (ready and better) or self.spent + seconds > price:
+        under_way = not ready and self._process is not None and self._process.poll() is None
+        dear = self.spent + seconds > price and (better or not under_way)
+        if asked == "first" or (ready and better) or dear:
             return True
         self.spent += seconds
         if not ready and asked == "aside" and (better or self.spent > LOADING_S):
@@ -138,11 +141,19 @@ class Kernels:
             self._alone = before
 
     def due(self) -> bool:
-        """The same, for work that adds up in small pieces."""
+        """The same, for work that adds up in small pieces, such as frames that are not to wait in between: what is kept
+        is loaded by a thread, and work goes on without until it is there."""
         if self.spent < self._look:
             return False
         self._look = self.spent + LOOK_S
-        return self.pay()
+        if not self.pay():
+            return False
+        if mode() == "first" or not self.ready():
+            return True
+        if not self._loading:  # no daemon: that could be stopped inside LLVM as the process ends
+            self._loading = True
+            threading.Thread(target=self.load, name="glhybrid: loading").start()
+        return False
 
     def _compile_aside(self) -> None:
         if self._started:
@@ -153,7 +164,7 @@ class Kernels:
             return
         with contextlib.suppress(OSError):
             with locked(folder) as lock:  # which the other process has from its beginning to its end
-                _start(f"from glhybrid import kernels; kernels.compile_beside('{self.name}')", lock)
+                self._process = _start(f"from glhybrid import kernels; kernels.compile_beside('{self.name}')", lock)
             log.info("kernels are compiled in a process beside, for %s from the next run on", self._what)
 
     def _mark(self) -> Path | None:

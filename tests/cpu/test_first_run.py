@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -116,6 +117,36 @@ def test_small_pieces_add_up_and_are_not_thought_over_each_time(
         trees.due()
         trees.spent += 0.001
     assert 10 < len(asked) < 25
+
+
+def test_what_plays_goes_on_while_kernels_are_loaded(trees: Kernels, monkeypatch: pytest.MonkeyPatch) -> None:
+    let, loads = threading.Event(), []
+
+    def load() -> None:
+        loads.append(threading.current_thread())
+        assert let.wait(60)
+
+    monkeypatch.setattr(trees, "load", load)
+    mark = trees._mark()
+    assert mark is not None
+    mark.touch()
+    for trees.spent in (LOADING_S / 2, 2 * LOADING_S, 3 * LOADING_S):
+        assert not trees.due()
+    let.set()
+    (thread,) = loads
+    assert thread is not threading.main_thread() and not thread.daemon
+    thread.join(60)
+    monkeypatch.setenv("GLHYBRID_COMPILE", "first")
+    trees.spent = 4 * LOADING_S
+    assert trees.due(), "who asks for that waits"
+
+
+def test_nobody_compiles_what_another_process_is_compiling(trees: Kernels, started: list[str]) -> None:
+    ended: list[int | None] = [None]
+    trees._process = type("Process", (), {"poll": lambda self: ended[0]})()  # type: ignore[assignment]
+    assert not trees.pay(99.0) and trees.pay(99.0, better=True)
+    ended[0] = 1
+    assert trees.pay(0.1)
 
 
 @pytest.mark.parametrize("why", ["off", "never", "busy", "embedded", "no folder", "left alone", "worthless"])
