@@ -6,7 +6,7 @@ from pathlib import Path
 from glhybrid import layout
 from glhybrid.errors import ShaderError
 from glhybrid.needs import Features
-from glhybrid.shader_live import ConditionError, Text
+from glhybrid.shader_live import ConditionError, read
 
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$', re.MULTILINE)
 _VERSION = "#version 430 core\n"
@@ -20,7 +20,7 @@ class Source:
         self.files: list[str] = []
         self.text = self._expand(folders, path)
         try:
-            self._live = Text(self.text)
+            self._live = read(self.text)
         except ConditionError as error:
             raise ShaderError(f"{self._place(error.line)}: {error}") from None
         self._words = self._live.words
@@ -40,7 +40,7 @@ class Source:
             text = file.read_text(encoding="utf-8")
         lines = [f"#line 1 {index}"]
         for number, line in enumerate(text.splitlines(), start=1):
-            match = _INCLUDE.match(line)
+            match = _INCLUDE.match(line) if "#include" in line else None
             if match is None:
                 lines.append(line)
                 continue
