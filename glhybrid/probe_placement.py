@@ -7,7 +7,7 @@ of the error away that one leaves, until a cut would hardly matter: so a room wi
 scene of one room one, and where the sky is as good as any none.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import NamedTuple
@@ -67,16 +67,22 @@ class Sight:
 def _texel(way: F64) -> NDArray[np.int64]:
     """(...,) row of a Sight's points in directions (..., 3)."""
     axis = np.abs(way).argmax(-1)
-    major = np.take_along_axis(way, axis[..., None], -1)[..., 0]
+
+    def part(axis: NDArray[np.int64]) -> F64:
+        return np.take_along_axis(way, axis[..., None], -1)[..., 0]
+
+    major = part(axis)
     face = 2 * axis + (major < 0)
     scale = 0.5 * SIGHT / np.maximum(np.abs(major), 1e-300)
-    across, up = ((way * _TURNS[k][face]).sum(-1) * scale + 0.5 * SIGHT for k in (0, 1))
+    across, up = (part(_AXES[k][face]) * (_SIGNS[k][face] * scale) + 0.5 * SIGHT for k in (0, 1))
     x, y = (np.clip(v, 0, SIGHT - 1).astype(np.int64) for v in (across, up))
     return np.asarray((face * SIGHT + y) * SIGHT + x)
 
 
 Look = Callable[[F64], Sight]
-_TURNS = [np.array([f[k] for f in FACES], np.float64) for k in (0, 1)]
+_TURNS = [np.array([f[k] for f in FACES], np.float64) for k in (0, 1)]  # of each face: unit axes to the right and up
+_AXES = [np.abs(turn).argmax(-1) for turn in _TURNS]
+_SIGNS = [turn.sum(-1) for turn in _TURNS]
 
 
 def place(surfaces: Surfaces, eyes: list[F64], bounds: F64, count: int, blend: float, look: Look) -> tuple[Probe, ...]:
@@ -101,7 +107,7 @@ def place(surfaces: Surfaces, eyes: list[F64], bounds: F64, count: int, blend: f
         places += [look(truth.sight.position + share * free * truth.normal) for share in HEIGHTS]
     options = [_Option(s, fit(s, bounds, wall)) for s in places for wall in WALLS]
     alone = [float(truth.share @ np.isfinite(truth.point).all(-1)) for truth in truths]
-    wrong = np.array([[_error(o, truth) for truth in truths] for o in options] + [alone])
+    wrong = np.concatenate([_errors(options, truths), [alone]])
     wrong[-1] *= WORTH
     error = wrong.T[groups] * surfaces.weight[:, None]  # of each point under each option, the sky last
     worst = float(error[:, -1].sum())
@@ -245,21 +251,33 @@ def _truth(surfaces: Surfaces, mine: NDArray[np.bool_], off: float, look: Look) 
     return _Truth(sight, normal, way[used], sight.points[rows[used]], lit[used] / lit.sum())
 
 
-def _error(option: _Option, truth: _Truth) -> float:
-    """How wrong a probe's image is on a group, 0 to 1."""
-    probe = option.probe
-    low, high = np.array(probe.low), np.array(probe.high)
-    start = np.clip(truth.sight.position, low, high)
+def _errors(options: Sequence[_Option], truths: Sequence[_Truth]) -> F64:
+    """(options, truths) how wrong each probe's image is on each group, 0 to 1."""
+    counts = [len(truth.way) for truth in truths]
+    eye = np.repeat([truth.sight.position for truth in truths], counts, axis=0)
+    way, point, share = (np.concatenate([getattr(t, name) for t in truths]) for name in ("way", "point", "share"))
+    sky, reach = ~np.isfinite(point).all(-1), OFF * _length(point - eye)
+    group = np.repeat(np.arange(len(truths)), counts)
+    wrong = (share * _wrong(option, eye, way, point, sky, reach) for option in options)
+    return np.array([np.bincount(group, one, len(truths)) for one in wrong])
+
+
+def _wrong(option: _Option, eye: F64, way: F64, point: F64, sky: NDArray[np.bool_], reach: F64) -> F64:
+    """(D,) how wrong a probe's image is, 0 to 1, where one sees points (D, 3) in directions (D, 3) from eyes (D, 3)."""
+    low, high = np.array(option.probe.low), np.array(option.probe.high)
+    start = np.clip(eye, low, high)
     with np.errstate(divide="ignore", invalid="ignore"):
-        t = np.where(truth.way > 0, (high - start) / truth.way, (low - start) / truth.way)
-        wall = np.nanmin(np.where(truth.way == 0, np.inf, t), axis=-1)
-    shown = option.sight.points[_texel(start + wall[:, None] * truth.way - option.sight.position)]
-    sky, sky_shown = ~np.isfinite(truth.point).all(-1), ~np.isfinite(shown).all(-1)
-    with np.errstate(invalid="ignore"):
-        texel = 3 / SIGHT * np.linalg.norm(shown - option.sight.position, axis=-1)  # one and a half: as far as is known
-        off = np.maximum(np.linalg.norm(shown - truth.point, axis=-1) - texel, 0)
-        wrong = np.minimum(off / (OFF * np.linalg.norm(truth.point - truth.sight.position, axis=-1)), 1.0)
-    return float(truth.share @ np.where(sky | sky_shown, sky != sky_shown, wrong))
+        t = np.where(way > 0, high - start, low - start) / way
+        wall = np.minimum.reduce(np.where(way == 0, np.inf, t).T)  # of three columns: NumPy is slow over rows of three
+        shown = option.sight.points[_texel(start + wall[:, None] * way - option.sight.position)]
+        texel = 3 / SIGHT * _length(shown - option.sight.position)  # one and a half: as far as is known
+        wrong = np.minimum(np.maximum(_length(shown - point) - texel, 0) / reach, 1.0)
+    sky_shown = np.isinf(shown[:, 0])
+    return np.where(sky | sky_shown, sky != sky_shown, wrong)
+
+
+def _length(v: F64) -> F64:
+    return np.asarray(np.sqrt(np.einsum("...i,...i", v, v)))
 
 
 def _bounded(option: _Option, cell: _Cell, surfaces: Surfaces, blend: float, k: int) -> Probe:
