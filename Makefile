@@ -1,5 +1,5 @@
 # make demo    sets up, renders the built-in scene `atrium` and says where the picture is
-# make test    sets up, then lint, types and tests; these in a process a core, where llvmpipe keeps to one thread
+# make test    sets up, then lint, types and tests; these in a process a core, where llvmpipe and BLAS keep to one thread
 # make sheet   draws every model under MODELS (../shared/models) in one picture, out/sheet.png
 # make failures  runs the failure library: figures, and pictures in one, out/failures.png
 # make viewer-pictures  takes the README's pictures of the viewer
@@ -34,7 +34,7 @@ test: setup-dev
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
-	PYTHONDONTWRITEBYTECODE= GLHYBRID_REQUIRE_GL=1 LP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+	PYTHONDONTWRITEBYTECODE= GLHYBRID_REQUIRE_GL=1 LP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
 
 sheet: setup
 	@mkdir -p out

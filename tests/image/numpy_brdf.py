@@ -6,6 +6,7 @@ dielectric and metal mixed by metallic (B.2). All directions are unit, (..., 3),
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -93,13 +94,20 @@ def toward_viewer(n: ArrayLike, v: ArrayLike, n_geo: ArrayLike) -> F64:
     return np.where(below[..., None] > 0, unit(n + below[..., None] * v), n)
 
 
+@lru_cache
+def gauss_legendre(order: int) -> tuple[F64, F64]:
+    """Nodes and weights over -1 to 1: the eigenvalues behind them take longer than all that is done with them."""
+    return np.polynomial.legendre.leggauss(order)
+
+
+@lru_cache
 def specular_albedo(mu: float, alpha: float, order: int = 200) -> tuple[float, float]:
     """Directional albedo of the GGX lobe under Schlick Fresnel, as F0 * scale + F90 * bias, by quadrature.
 
     Over half vectors: tan^2 = alpha^2 u / (1 - u) makes D cos sin dtheta dphi = du dphi / 2 pi, so the integrand is
     F G V.H / (N.V N.H), smooth; Gauss-Legendre in u, the trapezoid in phi.
     """
-    x, w = np.polynomial.legendre.leggauss(order)
+    x, w = gauss_legendre(order)
     u, w = (x + 1) / 2, w / 2
     # More nodes where the lobe grazes: u -> 1.
     u, w = 1 - (1 - u) ** 2, w * 2 * (1 - u)
@@ -128,7 +136,7 @@ def albedo(brdf: Brdf, mu: float, order: int = 120) -> F64:
     base = np.asarray(brdf.base_color, np.float64)
     metal = base * scale + bias
     # The diffuse part depends on V.H: over all l, cosine-weighted.
-    x, w = np.polynomial.legendre.leggauss(order)
+    x, w = gauss_legendre(order)
     u, w = (x + 1) / 2, w / 2
     phi = (np.arange(order) + 0.5) / order * 2 * np.pi
     sin, cos = np.sqrt(u), np.sqrt(1 - u)
