@@ -184,7 +184,7 @@ class _Stage:
         from glhybrid.view import make_view
 
         scene, software = scenes.make("spheres", triangles), context.device.software
-        with kernels.TREES.left_alone():  # such scenes are no reason to compile
+        with kernels.TREES.left_alone():  # no reason to compile: trees of spheres are as cheap without
             found = geometry.build(scene, 1, tangents=False, attributes=False)
         features = needs.find(scene, Settings()).features.replace(
             clip_control=context.limits.clip_control,

@@ -14,10 +14,14 @@ import numpy as np
 import pytest
 from bvh_shapes import rays, rods, same, soup
 
-from glhybrid import jit, kernels, reference
+from glhybrid import jit, kernels, plan, reference
+from glhybrid.bench import scenes
 from glhybrid.bvh import blas, build_blas, build_tlas
 from glhybrid.errors import SettingError
 from glhybrid.kernels import LOADING_S, Kernels
+from glhybrid.load.shapes import box
+from glhybrid.scene import Instance, Mesh, Scene
+from glhybrid.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[2]
 HERE = Path(__file__).resolve().parent
@@ -255,3 +259,25 @@ def test_quick_top_trees_are_whole(
     assert len(started) == (not moving)  # one that moves is as good
     assert got.sah_cost < (1.03 if moving else 1.2) * want.sah_cost and got.depth <= want.depth + 4
     assert np.array_equal(got.nodes, build_tlas(boxes, moving).nodes)
+
+
+def test_a_plan_says_whose_trees_there_will_be(
+    trees: Kernels, started: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kernels, "TREES", trees)
+    large, small = (
+        scenes.make("spheres", 3000),
+        Scene("box", meshes=(Mesh("box", (box(),)),), instances=(Instance(0, np.eye(4)),)),
+    )
+
+    def said(scene: Scene, **settings: Any) -> bool:
+        return kernels.QUICK in plan.describe(scene, Settings(**settings))["reasons"]
+
+    assert said(large) and not said(small) and not said(large, shadows="map", reflections="env", primary="raster")
+    monkeypatch.setenv("GLHYBRID_COMPILE", "first")
+    assert not said(large)
+    monkeypatch.setenv("GLHYBRID_COMPILE", "aside")
+    mark = trees._mark()
+    assert mark is not None
+    mark.touch()
+    assert not said(large) and not started
