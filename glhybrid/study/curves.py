@@ -22,6 +22,7 @@ from glhybrid.study.progress import Meter
 QUICK_SIZE, SIZE = (120, 90), (240, 180)
 MOTION_FRAMES = 6
 GHOST = "ghost"
+CELLS = 3.0  # what a curve counts for in the progress
 LEFT = 0.05
 LEAVE_FRAME, WATCHED = 8, 40  # of the ghost: when the box goes, and how long its trace is followed
 Size = tuple[int, int]
@@ -175,7 +176,7 @@ def _kept(path: Path, key: str, meter: Meter) -> dict[str, Any] | None:
     kept = store.read(path, key)
     if kept is None:
         return None
-    meter.end(free=True)
+    meter.end(CELLS, free=True)
     return {k: v for k, v in kept.items() if k != "key"}
 
 
@@ -199,8 +200,8 @@ def _one(
             except GlhybridError as error:
                 note(f"{curve.title}: {technique.name} at {value:g} was not measured: {error}")
                 errors[technique.name].append(None)
-        meter.part((i + 1) / len(values))
-    meter.end()
+        meter.part(CELLS * (i + 1) / len(values))
+    meter.end(CELLS)
     if not chosen:
         return None
     lines = [{"technique": n, "errors": e, "breaks": breaks(values, e, curve.bar)} for n, e in errors.items()]
@@ -227,7 +228,7 @@ def _ghosts(renderer: Renderer, size: tuple[int, int], folder: Path, meter: Mete
             note(f"What is gone: {technique.name} was not measured: {error}")
             continue
         lines.append({"technique": technique.name, "errors": left, "breaks": None, "half_life": life})
-    meter.end()
+    meter.end(CELLS)
     if not lines:
         return None
     lives = ", ".join(f"{e['technique']} {'never' if e['half_life'] is None else e['half_life']}" for e in lines)

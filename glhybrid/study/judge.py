@@ -1,6 +1,7 @@
 """FLIP of a study's pictures, on the device that drew them: all of one scene are held against the same two pictures."""
 
 import hashlib
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ class Judge:
         self._flip, self._truth = flip, truth
         self._whole = flip.reference(truth.radiance)
         self._direct: Reference | None = None
+        self._lit: Any = None  # (H, W): where light would arrive if nothing were in its way
         self._shadows: dict[bytes, float | None] = {}  # by visibility: techniques of other kinds leave shadows alone
 
     def maps(self, frame: Frame, at_rest: F32 | None = None) -> ErrorMaps:
@@ -30,11 +32,11 @@ class Judge:
         if light is None:
             return None
         if self._direct is None:
-            self._direct = self._flip.reference(light.truth())
+            self._direct, self._lit = self._flip.reference(light.truth()), light.counted.any(-1)
         key = hashlib.blake2b(np.ascontiguousarray(visibility).data, digest_size=16).digest()
         if key not in self._shadows:
             error = self._flip.map(light.direct(visibility), self._direct)
-            self._shadows[key] = picture.weighted_mean(error, light.counted.any(-1))
+            self._shadows[key] = picture.weighted_mean(error, self._lit)
         return self._shadows[key]
 
     def release(self) -> None:

@@ -30,8 +30,8 @@ QUICK_SCENES = ("showroom", "atrium")
 PARTS = ("peers", "stability", "failures")  # what is done beside the scenes
 PAPER_PARTS = ("ladder",)
 UNTIMED = ("ladder", "stability", "failures")  # of these, what processes beside a study make
-FAILURE_CELLS = 20  # what the failure library counts for in the progress
-PEER_CELLS = 1.5  # and one other renderer on one scene
+FAILURE_CELLS = 26  # what the failure library counts for in the progress
+PEER_CELLS = 2.5  # and one other renderer on one scene
 
 
 def run(
@@ -94,7 +94,7 @@ def run(
         costs = {
             "peers": PEER_CELLS * len(panel.NAMES) * len(work),
             "ladder": papers.LADDER_CELLS,
-            "stability": len(curves.names()),
+            "stability": curves.CELLS * len(curves.names()),
             "failures": FAILURE_CELLS,
         }
         meter.expect(sum(costs[part] for part in parts))
@@ -204,7 +204,7 @@ def _peers(
             meter.begin(f"{site.name}: {name}")
             samples = panel.QUICK_SAMPLES if quick else panel.SAMPLES
             rows.append(panel.ask(renderer, name, site, samples, note))
-            meter.end(PEER_CELLS)
+            meter.end(PEER_CELLS, free=rows[-1] is None)
     return [row for row in rows if row is not None]
 
 

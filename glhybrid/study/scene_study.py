@@ -33,7 +33,7 @@ from glhybrid.study.reference import Reference
 from glhybrid.study.results import Study
 from glhybrid.study.sweep import PAIRS, Cell
 
-REFERENCE_CELLS = 8  # what a reference counts for in the progress
+REFERENCE_CELLS = 14  # what a reference counts for in the progress
 ONCE = ""  # stands for what is made once a scene, beside keys of cells
 PATIENCE_S = 8.0  # that a user who has pressed Ctrl-C is kept for
 STAGINGS = 2  # kept ready: the scene's, and its mirrors'
