@@ -39,9 +39,17 @@ class DeviceError(GlhybridError):
     exit_code = 3
 
 
-def unknown(kind: str, name: object, known: Iterable[str]) -> str:
-    """'unknown KIND "NAME"; did you mean "NEAREST"? known: ...' for error messages."""
+MOST_NAMES = 40  # of those known, that a message lists
+
+
+def unknown(kind: str, name: object, known: Iterable[str], listed_by: str = "") -> str:
+    """'unknown KIND "NAME"; did you mean "NEAREST"? known: ...' for error messages.
+
+    listed_by: the command that lists what is known, named instead where that is much.
+    """
     known = sorted(str(k) for k in known)
     near = difflib.get_close_matches(str(name), known, n=1, cutoff=0.5)
     hint = f' did you mean "{near[0]}"?' if near else ""
+    if listed_by and len(known) > MOST_NAMES:
+        return f'unknown {kind} "{name}";{hint} `{listed_by}` lists all {len(known)}'
     return f'unknown {kind} "{name}";{hint} known: {", ".join(known) or "none"}'

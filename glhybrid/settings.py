@@ -252,7 +252,7 @@ def _rule(key: str) -> _Rule:
         return _RULES[key]
     if key in known:
         return _parameter_rule(known[key])
-    raise SettingError(unknown("setting", key, (*_RULES, *known)))
+    raise SettingError(unknown("setting", key, (*_RULES, *known), "glhybrid settings"))
 
 
 def _build(base: Settings, changes: Mapping[str, Any]) -> Settings:

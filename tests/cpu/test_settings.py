@@ -58,7 +58,7 @@ def test_overrides(text: str, key: str, value: object) -> None:
         ("levels=3", "auto, 1, 2"),
         ("seed=-1", "from 0 to 4294967295"),
         ("shadows=rai", 'did you mean "ray"'),
-        ("parameters=1", "unknown setting"),
+        ("parameters=1", "`glhybrid settings` lists all"),
     ],
 )
 def test_refusals_name_the_key_and_what_is_expected(text: str, says: str) -> None:
