@@ -134,7 +134,7 @@ def view(scene: SceneName, /, *, flags: View = cli_view.NONE, common: Common = c
     console.say_warnings(loaded.warnings)
     cli_view.run(
         scene, loaded, settings, settings != Settings(), flags, common.device, size, common.camera_key(),
-        common.light, common.environment_rotation, plain.load,
+        common.light, common.environment_rotation, plain.load, common.loading(),
     )  # fmt: skip
     return 0
 

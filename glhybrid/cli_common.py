@@ -70,6 +70,7 @@ class Common:
         Parameter(name="--set", help="key=value of any setting; may be repeated.", consume_multiple=False),
     ] = ()
     config: Annotated[str | None, Parameter(help="TOML file of settings; flags and --set win over it.")] = None
+    smooth: Annotated[bool, Parameter(help="Smooth normals where a file has none: scans, STL.")] = False
     strict: Annotated[bool, Parameter(help="Anything of the file that cannot be drawn is an error.")] = False
     allow_outside: Annotated[bool, Parameter(help="Let a scene use files outside its folder.")] = False
     json: Annotated[bool, Parameter(help="Print the result as one JSON object.")] = False
@@ -102,11 +103,16 @@ class Common:
         text = self.camera
         return int(text) if text is not None and text.isdecimal() else text
 
+    def loading(self) -> tuple[str, ...]:
+        """The flags that say how files are read, for who writes a command that makes the same picture."""
+        given = {"--smooth": self.smooth, "--allow-outside": self.allow_outside}
+        return tuple(flag for flag, wanted in given.items() if wanted)
+
     def load(self, scene: str) -> "Scene":
         """The scene, under the lights asked for. Raises LoadError or SettingError."""
         import glhybrid
 
-        loaded = glhybrid.load(scene, strict=self.strict, allow_outside=self.allow_outside)
+        loaded = glhybrid.load(scene, strict=self.strict, allow_outside=self.allow_outside, smooth=self.smooth)
         if self.light or self.environment_rotation is not None:
             from glhybrid import relight
 

@@ -86,18 +86,18 @@ NONE = View()
 def run(
     source: str, scene: "Scene", settings: "Settings", given: bool, flags: View, device: str, size: tuple[int, int],
     camera: int | str | None, lights: tuple[str, ...], environment: float | None, load: Callable[[str], "Scene"],
-    quiet: bool = False,
+    loading: tuple[str, ...] = (), quiet: bool = False,
 ) -> None:  # fmt: skip
     """Opens the viewer and returns when it is closed. given: the settings were asked for, not left at their defaults.
 
-    size: of the picture; the panel stands beside it. Raises DeviceError where there is no display or library.
+    loading: flags that `load` stands for. size: of the picture; the panel stands beside it. Raises DeviceError where there is no display or library.
     """
     from glhybrid.viewer import store
     from glhybrid.viewer.app import Viewer
     from glhybrid.viewer.panels import WIDTH
     from glhybrid.viewer.session import OF_BOTH, Session
 
-    session = Session(scene, source)
+    session = Session(scene, source, loading)
     saved = {} if flags.fresh or flags.screenshot else store.read()
     store.restore(session, saved)
     if given or not saved:

@@ -149,7 +149,7 @@ def _load(names: Sequence[str], load: Callable[[str], Scene] | None) -> dict[str
 def _axes(name: str, scene: Scene, quick: bool, only: Sequence[str], study: Study) -> Mapping[str, Sequence[Cell]]:
     skipped = sweep.skipped_axes(scene)
     for kind, reason in skipped.items():
-        study.note(f"{name}: {kind} {"is" if kind == "ao" else "are"} not swept: {reason}")
+        study.note(f"{name}: {kind} {'is' if kind == 'ao' else 'are'} not swept: {reason}")
     axes = {kind: sweep.axis(kind, quick=quick, only=only) for kind in techniques.TECHNIQUES if kind not in skipped}
     axes = {kind: cells for kind, cells in axes.items() if cells}
     return axes or {"shadows": [Cell(sweep.defaults())]}

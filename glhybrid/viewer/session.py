@@ -59,6 +59,7 @@ class Session:
 
     scene: Scene
     source: str
+    loading: tuple[str, ...] = ()  # flags of the command line that say how it is read
     a: Settings = field(default_factory=Settings)
     b: Settings = field(default_factory=lambda: Settings(shadows="pcf", reflections="env"))
     mode: Mode = "single"
@@ -231,7 +232,7 @@ class Session:
             words += ["--light", word]
         if self.environment_deg is not None:
             words += ["--environment-rotation", f"{self.environment_deg:.6g}"]
-        return shlex.join([*words, "-o", output or "picture.png"])
+        return shlex.join([*words, *self.loading, "-o", output or "picture.png"])
 
 
 @lru_cache(256)

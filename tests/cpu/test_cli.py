@@ -88,7 +88,7 @@ def _run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str,
 def test_render_with_defaults(fake: _Recorder, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     code, out, _ = _run(capsys, "render", "some/place/hall.glb")
     assert code == 0
-    assert fake.loads == [("some/place/hall.glb", {"strict": False, "allow_outside": False})]
+    assert fake.loads == [("some/place/hall.glb", {"strict": False, "allow_outside": False, "smooth": False})]
     assert fake.devices == ["auto"] and fake.closed == 1
     (call,) = fake.renders
     assert call["size"] == (1280, 720) and call["camera"] is None and call["aovs"] == ()
@@ -102,11 +102,11 @@ def test_every_flag_arrives(fake: _Recorder, capsys: pytest.CaptureFixture[str],
     code, out, err = _run(
         capsys, "render", "hall.glb", "-o", "a.exr", "--device", "egl:1", "--size", "64x36", "--camera", "2",
         "--shadows", "none", "--reflections", "env", "--samples", "3", "--bounces", "0", "--set", "seed=9",
-        "--set", "exposure=-1", "--config", "look.toml", "--aov", "depth,normal", "--exr-float", "--strict",
+        "--set", "exposure=-1", "--config", "look.toml", "--aov", "depth,normal", "--exr-float", "--strict", "--smooth",
         "--allow-outside", "--quiet",
     )  # fmt: skip
     assert (code, out, err) == (0, "", "")
-    assert fake.loads[0][1] == {"strict": True, "allow_outside": True} and fake.devices == ["egl:1"]
+    assert fake.loads[0][1] == {"strict": True, "allow_outside": True, "smooth": True} and fake.devices == ["egl:1"]
     (call,) = fake.renders
     want = Settings(
         shadows="none", reflections="env", samples=3, bounces=0, seed=9, exposure=-1.0, tone="aces", aa=1

@@ -342,3 +342,10 @@ def test_escape_goes_back_to_the_picture() -> None:
     assert controls.session.show == "normal"
     feed(controls, Key("escape", True))
     assert controls.session.show == "picture"
+
+
+def test_the_command_says_how_the_file_is_read() -> None:
+    camera = Camera.look_at((0, 0, 3), (0, 0, 0))
+    session = Session(Scene("scan", cameras=(camera,)), "scan.stl", ("--smooth", "--allow-outside"))
+    assert {"--smooth", "--allow-outside"} <= set(shlex.split(session.command((64, 48))))
+    assert "--smooth" not in Session(session.scene, "scan.stl").command((64, 48))
