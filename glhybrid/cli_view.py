@@ -90,7 +90,8 @@ def run(
 ) -> None:  # fmt: skip
     """Opens the viewer and returns when it is closed. given: the settings were asked for, not left at their defaults.
 
-    loading: flags that `load` stands for. size: of the picture; the panel stands beside it. Raises DeviceError where there is no display or library.
+    loading: flags that `load` stands for. size: of the picture; the panel stands beside it.
+    Raises DeviceError where there is no display or library.
     """
     from glhybrid.viewer import store
     from glhybrid.viewer.app import Viewer
