@@ -91,7 +91,7 @@ def make(
         parts = "a program of rays and one of shading" if features.mirror_shadows else "programs of rays and of shading"
         reasons.append(f"reflections run as {parts}: a GPU keeps more rays in flight beside less shading code")
     if features.reflect_grid:
-        reasons.append(_shared(features, settings, software))
+        reasons.append(_shared(features, settings))
     joined = kernels in ("auto", "joined") and _joins(features, settings, len(scene.lights))
     joined = joined and (kernels == "joined" or not (features.two_level or features.spheres or features.reflect_grid))
     features = features.replace(encodes=kernels in ("auto", "joined"))
@@ -129,27 +129,14 @@ def make(
     return Plan(features, levels, trees, primary, split, joined, tuple(passes), tuple(reasons), tuple(skipped))
 
 
-# What a frame takes with fewer mirror rays, times that with a ray for each pixel: the least and the most read in
-# Sponza, atrium, plaza and showroom, at 1920x1080 on an H100 and at 320x180 by llvmpipe.
-_SHARED_FRAMES = {
-    ("GRID_HALF", False): (0.77, 1.05),
-    ("GRID_HALF", True): (0.79, 1.05),
-    ("GRID_CHECKERBOARD", False): (0.90, 1.08),
-    ("GRID_CHECKERBOARD", True): (0.92, 1.08),
-}
-
-
-def _shared(features: Features, settings: Settings, software: bool) -> str:
+def _shared(features: Features, settings: Settings) -> str:
     """What becomes of mirror rays that only a part of the pixels send."""
-    grid = "GRID_HALF" if features.reflect_grid == CONSTANTS["GRID_HALF"] else "GRID_CHECKERBOARD"
-    part = "four" if grid == "GRID_HALF" else "two"
+    part, saved = ("four", "three quarters") if features.reflect_grid == CONSTANTS["GRID_HALF"] else ("two", "half")
     contrast = settings.parameter("reflections.ray-lerp.contrast")
-    least, most = _SHARED_FRAMES[grid, software]
     return (
         f"mirror rays leave one pixel in {part}, and those between where the picture would change by more than"
-        f" {100 * contrast:g} %: things thinner than that grid may be missing from reflections; frames took {least:.2f}"
-        f" to {most:.2f} times as long by it {'in software' if software else 'on an H100'}, the less the more of the"
-        " picture reflects: where little does, full is as fast"
+        f" {100 * contrast:g} %: things thinner than that grid may be missing from reflections; {saved} of the rays at"
+        " most are saved for one more look at every pixel that reflects: where few do, full is as fast"
     )
 
 
