@@ -89,6 +89,7 @@ class Rebuild:
 
     @property
     def bytes(self) -> int:
+        """Of its buffers."""
         return self._owned.buffer_bytes
 
     def release(self) -> None:

@@ -62,6 +62,7 @@ class Skin:
 
     @property
     def bytes(self) -> int:
+        """Of its buffers."""
         return self._owned.buffer_bytes
 
     def release(self) -> None:
