@@ -37,9 +37,11 @@ class Reference:
     exposures: factors of its light times `scale`; (0,) for a picture in sRGB; none if it is black.
     """
 
-    def __init__(self, picture: Any, exposures: tuple[float, ...], scale: float = 1.0, most: float = 1.0) -> None:
+    def __init__(
+        self, size: tuple[int, int], picture: Any, exposures: tuple[float, ...], scale: float = 1.0, most: float = 1.0
+    ) -> None:
         """picture: a texture, which becomes its own."""
-        self.picture, self.exposures, self.scale, self.most = picture, exposures, scale, most
+        self.size, self.picture, self.exposures, self.scale, self.most = size, picture, exposures, scale, most
         self.kept: list[tuple[Any, Any]] = []  # by exposure: colours and edges, points
 
     def release(self) -> None:
@@ -64,14 +66,14 @@ class Flip:
 
     def reference(self, want: F32) -> Reference:
         """(H, W, 3) linear light, to be released. What is not finite counts as black or as MOST."""
+        size = _size(want)
         self._context.make_current()
-        height, width = want.shape[:2]
         mean = float((np.nan_to_num(want, posinf=0, neginf=0) @ LUMINANCE).mean(dtype=np.float64))
         if not mean > 0:
-            return Reference(None, ())
+            return Reference(size, None, ())
         scaled = np.clip(np.nan_to_num(want / np.float32(mean)), 0, np.float32(MOST))
-        picture = self._image((width, height), 3, np.ascontiguousarray(want, np.float32))
-        return Reference(picture, exposures(scaled @ LUMINANCE), 1 / mean, MOST)
+        picture = self._image(size, 3, np.ascontiguousarray(want, np.float32))
+        return Reference(size, picture, exposures(scaled @ LUMINANCE), 1 / mean, MOST)
 
     def hdr(self, got: F32, want: F32) -> F32:
         """HDR-FLIP of every pixel, (H, W), 0 to 1, of pictures (H, W, 3) of linear light; `want` is the reference."""
@@ -84,24 +86,29 @@ class Flip:
     def map(self, got: F32, reference: Reference) -> F32:
         """HDR-FLIP of every pixel, (H, W), 0 to 1; got: (H, W, 3) linear light.
 
-        A black reference gives no exposure: what is not black is then fully wrong.
+        A black reference gives no exposure: what is not black is then fully wrong. Raises SettingError for pictures
+        of another size.
         """
+        if (size := _size(got)) != reference.size:
+            sizes = [f"{width}x{height}" for width, height in (size, reference.size)]
+            raise SettingError(
+                f"FLIP: a picture of {sizes[0]} and a reference of {sizes[1]} pixels: give two of one size"
+            )
         if not reference.exposures:
             return (got.max(-1) > 0).astype(np.float32)
         self._context.make_current()
-        height, width = got.shape[:2]
-        self._work_at((width, height))
+        self._work_at(size)
         if "picture" not in self._images:
             self._images["picture"] = self._image(self._size, 3)
         self._images["picture"].write(np.ascontiguousarray(got, np.float32))
         error = self.compare(self._images["picture"], reference)
-        return np.frombuffer(error.read(), np.float32).reshape(height, width)
+        return np.frombuffer(error.read(), np.float32).reshape(got.shape[:2])
 
     def ldr(self, picture: Any, want: Any) -> Any:
         """LDR-FLIP of two textures in sRGB, 0 to 1: the map as a texture, gone with the next."""
         self._context.make_current()
         self._work_at(picture.size)
-        reference = Reference(want, (0.0,))
+        reference = Reference(picture.size, want, (0.0,))
         return self._compare(picture, reference, keeps=False)
 
     def compare(self, picture: Any, reference: Reference) -> Any:
@@ -170,6 +177,12 @@ class Flip:
         for image in self._images.values():
             image.release()
         self._images, self._size = {}, (0, 0)
+
+
+def _size(picture: F32) -> tuple[int, int]:
+    if picture.ndim != 3 or picture.shape[2] != 3 or not picture.size:
+        raise SettingError(f"FLIP: an array of shape {picture.shape}: pictures are (H, W, 3)")
+    return picture.shape[1], picture.shape[0]
 
 
 def exposures(luminance: F32) -> tuple[float, ...]:

@@ -122,6 +122,15 @@ def test_what_comes_of_a_reference_is_kept_or_made_anew(renderer: gh.Renderer, m
         reference.release()
 
 
+def test_pictures_that_do_not_fit_are_refused(renderer: gh.Renderer) -> None:
+    want = np.ones((20, 30, 3), np.float32)
+    for got, said in ((want[1:], "30x19 and a reference of 30x20"), (want[..., 0], r"shape \(20, 30\)")):
+        with pytest.raises(gh.SettingError, match=said):
+            renderer.flip.hdr(got, want)
+    with pytest.raises(gh.SettingError, match="30x20 and a reference of 8x8"):
+        renderer.flip.hdr(want, np.zeros((8, 8, 3), np.float32))
+
+
 def test_it_costs_nothing_where_it_is_not_used(context: Any) -> None:
     with gh.Renderer(context=context) as made:
         made.render(gh.load("cornell"), None, (32, 18), gh.Settings(aa=1))
