@@ -4,6 +4,8 @@ One is faster where no mesh is repeated. It holds vertices in float32 about the 
 beside the scene loses its shape, and at last its area; two hold a mesh as its file does.
 """
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 
 from glhybrid.bvh.blas import SMALL
@@ -17,6 +19,9 @@ FLATTEN_RATIO = 1e-4  # smallest instance / scene: below it, float32 about the s
 FLATTEN_MOST = 1 << 25  # triangles: what a buffer texture of 2^27 texels holds of a tree, with some of them split
 BENT = 32  # roundings about the middle of the scene across a triangle: with fewer, it is bent by 3 % and more ...
 FINER = 16  # ... and is saved by two levels if its mesh holds it so many times as exactly
+
+
+_lost: "WeakKeyDictionary[Scene, float]" = WeakKeyDictionary()  # what _lost_detail found
 
 
 def choose_levels(scene: Scene, asked: int | str, software: bool = True) -> tuple[int, str]:
@@ -39,7 +44,9 @@ def choose_levels(scene: Scene, asked: int | str, software: bool = True) -> tupl
     smallest = float(min(sizes[sizes > 0], default=extent))
     if smallest < FLATTEN_RATIO * extent:
         return 2, f"the smallest object is {smallest / extent:.1e} of the scene"
-    if smallest := _lost_detail(scene):
+    if scene not in _lost:  # 0.1 s of a quarter of a million triangles, for each setting it is drawn with
+        _lost[scene] = _lost_detail(scene)
+    if smallest := _lost[scene]:
         return 2, f"triangles of {smallest:.1e} m would lose their shape in a scene of {extent:.1e} m"
     if drawn == stored:
         return 1, "no mesh is repeated"
