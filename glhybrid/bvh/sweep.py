@@ -2,7 +2,7 @@
 
 The sweep over presorted orders of Wald, Boulos & Shirley 2007, "Ray Tracing Deformable Scenes Using Dynamic Bounding
 Volume Hierarchies". Boxes before and behind each split are running maxima; one pass finds those of many ranges, as the
-number of a fragment's range stands above its 16 bits, so that every range begins anew. Costs of trees: 0.97 to 1.00 of
+number of a fragment's range stands above its 16 bits, so that every range begins anew. Costs of trees: 0.97 to 1.01 of
 build.grow_tree's. Chosen over bins, whose share of the work is large in ranges of a few fragments, as most are; a loop
 over nodes takes 3 times as long for 100 fragments and 12 times for 1,000.
 """
@@ -30,7 +30,7 @@ class _Ranges(NamedTuple):
     order: Any  # (3, M) fragments, range after range, in each by centroids along an axis
     count: Any  # (R,) fragments, two at least unless it is the root
     first: Any  # (R,) slot of the first
-    place: Any  # (R,) 2 * parent + side, as rows of _Made name it; -1: it is the root
+    place: Any  # (R,) 2 * name of the parent + side; -1: it is the root
     area: Any  # (R,) float64
 
 
