@@ -130,11 +130,13 @@ bool is_finite(Past p) { return is_finite(p.mean.rgb) && is_finite(vec3(p.mean.a
 const float DRIFT = 1.0;
 const float MOST_HALF = 6e4;             // more would be infinite in a half float
 
-#if USE_DENOISE_SIGNAL == 3
-const float RESAMPLED = 2.0;
+const float LEANING = 0.25;              // normals of what is looked at, off by half a lobe: flakes and bumps show other things
+const float RESAMPLED = USE_DENOISE_SIGNAL == SIGNAL_VISIBILITY ? 2.0 : 0.25;
 
-// Each look between pixels of the frame before blurs what is kept of a penumbra a little more. How much: squares of steps of
-// a pixel to the right and up, on the surface, across the way to the light, over that of the length over which it changes.
+// Each look between pixels of the frame before blurs what is kept a little more. How much: squares of steps of a pixel to the
+// right and up over that of the length over which it changes. Of a penumbra they are on the surface, across the way to the
+// light; of a lobe across the view.
+#if USE_DENOISE_SIGNAL == 3
 float resampled(vec2 f, Guide g, float extent) {
     vec3 v = toward_eye(g), l = light_at(lights[layer], g.position).dir;
     float sum = 0.0;
@@ -144,6 +146,16 @@ float resampled(vec2 f, Guide g, float extent) {
         sum += f[i] * (1.0 - f[i]) * (dot(d, d) - square(dot(d, l)));
     }
     return extent > 0.0 ? RESAMPLED * sum * square(pixel_width(g.depth) / extent) : 0.0;
+}
+#elif USE_DENOISE_SIGNAL < 3
+float resampled(vec2 f, Guide g, float extent) {
+    LobeAxes axes = lobe_axes(g.n, toward_eye(g));
+    float sum = 0.0;
+    for (int i = 0; i < 2; i++) {
+        vec3 d = normalize(i == 0 ? frame.right_ws : frame.up_ws);
+        sum += f[i] * (1.0 - f[i]) * (square(dot(d, axes.across) / axes.NoV) + square(dot(d, axes.along)));
+    }
+    return extent > 0.0 ? min(RESAMPLED * sum * square(pixel_width(g.depth) / extent), 1e3) : 0.0;
 }
 #endif
 
@@ -193,13 +205,14 @@ Past look_back(ivec2 px, Guide g, Near near) {
     past.drift = DRIFT * pixel_width(g.depth) * distance(at, pixel_before(was)) / max(near.extent, 1e-30);
     ivec2 corner = ivec2(floor(at));
     vec2 f = at - floor(at);
-    float weight = 0.0, gone = 0.0;
+    float weight = 0.0, gone = 0.0, leaning = 0.0;
     for (int i = 0; i < 4; i++) {
         ivec2 q = corner + ivec2(i & 1, i >> 1);
         float w = ((i & 1) == 1 ? f.x : 1.0 - f.x) * ((i >> 1) == 1 ? f.y : 1.0 - f.y);
         if (!inside(q) || w <= 0.0) continue;
         uvec4 bits = texelFetch(guide_before, q, 0);
-        if (bits.z != g.record || dot(guide_normal(bits), g.n) < 0.9) continue;
+        vec3 n = guide_normal(bits);
+        if (bits.z != g.record || dot(n, g.n) < 0.9) continue;
         // A visibility stays with its point; a reflection is only held to its surface, whose depth there is another.
         if (IS_VISIBILITY && abs(uintBitsToFloat(bits.y) - depth) > 0.02 * abs(depth) + 4.0 * pixel_width(depth)) continue;
         vec3 count = texelFetch(counts, AT(q), 0).xyz;
@@ -213,6 +226,7 @@ Past look_back(ivec2 px, Guide g, Near near) {
         past.lately += w * square(count.y);
         past.level += w * about.x;
         past.variance += w * about.y * near.worth * as_random(count.x);
+        leaning += w * dot(n - g.n, n - g.n);
         weight += w;
     }
     if (weight < 0.01) return NO_PAST;
@@ -221,6 +235,9 @@ Past look_back(ivec2 px, Guide g, Near near) {
     past.lately /= weight;
     past.samples /= weight;
     past.variance /= weight;
+#if USE_DENOISE_SIGNAL < 3
+    past.drift += resampled(f, g, near.extent) + LEANING * leaning / (weight * square(lobe_tangent(g.roughness)));
+#endif
 #if USE_DENOISE_SIGNAL == 3
     past.drift = resampled(f, g, near.extent > 0.0 ? near.extent : past.mean.a) + light_drift(g);
 #endif
