@@ -23,8 +23,9 @@ const uint SEE_SURFACES = 0u;      // camera and reflection rays: single-sided b
 const uint SEE_BLOCKERS = 1u;      // shadow rays: everything, blended surfaces tint; stops at the first full blocker
 const uint SEE_BLENDED = 2u;       // only blended surfaces
 
-// REACH: how far a ray looks for a nearer hit. With ONE_REACH it is that hit's distance, kept once: a register less. With five inner steps in place of four
-// and fewer stores of mirror rays an H100 takes 1 to 3 % less for frames in one level; in two levels (`plaza`) 7 % more.
+// REACH: how far a ray looks for a nearer hit. With ONE_REACH it is that hit's distance, kept once: a register less. With five
+// inner steps in place of four and fewer stores of mirror rays an H100 takes 1 to 3 % less for frames in one level; in two
+// levels (`plaza`) 7 % more.
 #if USE_BRANCHLESS || USE_TWO_LEVEL
 #define ONE_REACH 0
 #define REACH t_max
