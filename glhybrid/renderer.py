@@ -29,7 +29,7 @@ INTERACTIVE_STAGINGS = 4  # two techniques side by side, the reference, and one 
 
 
 class Renderer:
-    """Renders scenes on one device.
+    """Renders scenes on one device. Belongs to the thread and the process that open it; several take turns in one.
 
     device: auto, gpu, software, egl:N, cuda:N or osmesa. A scene's trees, buffers and programs are kept for the next
     frame of the same scene. interactive: several settings are kept ready at once, and images of two sizes.
