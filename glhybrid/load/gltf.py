@@ -23,7 +23,7 @@ from glhybrid.scene import Camera, Instance, Light, Mesh, Scene, Skin, Triangles
 SUPPORTED = frozenset({
     "EXT_mesh_gpu_instancing", "EXT_texture_avif", "EXT_texture_webp", "KHR_lights_punctual", "KHR_materials_clearcoat",
     "KHR_materials_emissive_strength", "KHR_materials_ior", "KHR_materials_specular", "KHR_materials_transmission",
-    "KHR_materials_unlit", "KHR_mesh_quantization", "KHR_texture_transform",
+    "KHR_materials_unlit", "KHR_mesh_quantization", "KHR_node_visibility", "KHR_texture_transform",
 })  # fmt: skip
 INVISIBLE = frozenset({"KHR_xmp", "KHR_xmp_json_ld"})  # metadata: nothing to draw, so nothing lost
 COMPRESSED = {  # what to do where a file cannot be read without an extension

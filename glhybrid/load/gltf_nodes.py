@@ -15,7 +15,8 @@ KINDS = {name: name for name in ("directional", "point", "spot")}
 
 @dataclass(frozen=True, eq=False)
 class Hierarchy:
-    """nodes: all of the file's. world: (N, 4, 4) float64 world_from_node. drawn: nodes of the scene, parents first."""
+    """nodes: all of the file's. world: (N, 4, 4) float64 world_from_node. drawn: nodes of the scene, parents first,
+    but for those that are hidden."""
 
     nodes: tuple[Node, ...]
     world: F64
@@ -95,11 +96,13 @@ def _drawn(doc: Document, parent: list[int], children: list[tuple[int, ...]]) ->
         for root in roots:
             if parent[root] != -1:
                 scenes[chosen].warn(f"lists node {root}, which is no root; it is drawn where its parents place it")
+    items = doc.items("nodes")
     drawn: dict[int, None] = {}
     stack = roots[::-1]
     while stack:
         node = stack.pop()
-        if node not in drawn:
+        shown = items[node].extension("KHR_node_visibility")
+        if node not in drawn and (shown is None or shown.boolean("visible", True)):  # what is below is hidden with it
             drawn[node] = None
             stack += children[node][::-1]
     return tuple(drawn)

@@ -76,6 +76,20 @@ def test_default_scene_only(tmp_path: Path) -> None:
     assert scene.warnings == ('scene 0; scene "other": not loaded: it is not the default scene',)
 
 
+def test_hidden_nodes_hide_what_is_below(tmp_path: Path) -> None:
+    builder = Builder()
+    mesh = builder.add("meshes", primitives=[builder.quad()])
+    hidden, shown = ({"KHR_node_visibility": {"visible": on}} for on in (False, True))
+    below = builder.add("nodes", mesh=mesh, name="below", extensions=shown)
+    nodes = [
+        builder.add("nodes", mesh=mesh, name="hidden", children=[below], extensions=hidden),
+        builder.add("nodes", mesh=mesh, name="shown", extensions=shown), builder.add("nodes", mesh=mesh, name="plain"),
+    ]  # fmt: skip
+    builder.json |= {"scenes": [{"nodes": nodes}], "scene": 0, "extensionsUsed": ["KHR_node_visibility"]}
+    scene = load(builder, tmp_path)
+    assert [i.name for i in scene.instances] == ["shown", "plain"] and not scene.warnings
+
+
 def test_lights(tmp_path: Path) -> None:
     b = Builder()
     spot = {"type": "spot", "color": [1, 0.5, 0.25], "intensity": 30, "range": 8,
