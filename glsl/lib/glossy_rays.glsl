@@ -42,7 +42,7 @@ Shine shine_of(Pixel p) {
     a.albedo = GLOSSY_COAT ? vec3(a.s.bsdf.clearcoat) : specular_albedo(a.s.bsdf, a.v);
     if (a.s.unlit || max3(a.albedo) <= 0.0) return a;
 #if DRIFTS
-    a.came = a.s.point.position - previous_position(p.hit, a.s.point.position);
+    a.came = came(p.hit, a.s.point.position);
     a.turned = turned(p.hit, a.lobe.n);
 #endif
     if (is_traced(a.lobe)) a.count = rays_of(a.lobe);
@@ -98,7 +98,7 @@ void gather(inout Gathered g, Shine a, ivec2 px, int i, Drawn d, Hit hit, vec3 s
 #if DRIFTS
         float tangent = lobe_tangent(a.lobe.roughness), drift = 2.0 * a.turned / tangent;
         if (hit.triangle != ID_NONE) {
-            vec3 met = a.s.point.position + hit.t * d.dir, slid = met - previous_position(hit, met) - a.came;
+            vec3 slid = came(hit, a.s.point.position + hit.t * d.dir) - a.came;
             drift += drift_of(slid - dot(slid, d.dir) * d.dir, tangent * hit.t);
         }
         g.drifts += square(min(drift, 100.0));

@@ -13,9 +13,6 @@ vec3 previous_vertex(uint i) { return uintBitsToFloat(texelFetch(previous_vertic
 
 vec3 previous_position(Hit hit, vec3 position_ws) {
     mat4x3 m = previous_instances[hit.instance].world_from_object;
-#if !USE_DEFORMING
-    if (m == instance_row(hit.instance).world_from_object) return position_ws;
-#endif
     uvec4 tri = texelFetch(triangles, int(hit.triangle));
     vec3 v0 = previous_vertex(tri.x);
     vec3 e1 = previous_vertex(tri.y) - v0, e2 = previous_vertex(tri.z) - v0;
@@ -30,6 +27,19 @@ vec3 previous_position(Hit hit, vec3 position_ws) {
              + inst.object_from_world[3];
     }
     return transform_point(m, p_os);
+}
+
+// How far what was hit at a point has come since then, m: as filters want it, to float32 of where it is, and 0 if it stands.
+vec3 came(Hit hit, vec3 position_ws) {
+#if USE_DEFORMING
+    return position_ws - previous_position(hit, position_ws);
+#else
+    mat4x3 m = previous_instances[hit.instance].world_from_object;
+    Instance inst = instance_row(hit.instance);
+    if (m == inst.world_from_object) return vec3(0.0);
+    vec3 p_os = mat3(inst.object_from_world[0], inst.object_from_world[1], inst.object_from_world[2]) * position_ws;
+    return position_ws - transform_point(m, p_os + inst.object_from_world[3]);
+#endif
 }
 
 // By how much a surface has turned since then, as the distance of two unit normals.

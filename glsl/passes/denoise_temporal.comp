@@ -86,7 +86,7 @@ Near look_around(ivec2 px, Guide g) {
             float len = length_of(s, g);
             if (len > 0.0) { nearness += w / len; known += w; }
 #if DRIFTS
-            near.drift = max(near.drift, texelFetch(drift, AT(q), 0).x); // as sharp as pixels it may be
+            if (((x | y) & 1) == 0) near.drift = max(near.drift, texelFetch(drift, AT(q), 0).x);    // every other: enough
 #endif
         }
     near.worth = square(weight) / weights2;

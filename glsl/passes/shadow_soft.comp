@@ -8,19 +8,21 @@
 #include "lib/tile.glsl"
 
 layout(rgba32f) uniform image2DArray out_visibility;    // tint, half width of the penumbra
-#if USE_MOVING && USE_DENOISE_SHADOWS
+#define DRIFTS (USE_MOVING && USE_DENOISE_SHADOWS)
+#if DRIFTS
 layout(r16f) uniform image2DArray out_drift;            // how far the shadow slides in a frame, over the length it changes over
 #endif
 uniform int rays, ray_first, ray_end;                   // a light; those of this dispatch
 
 const uint SHADOW_SEQUENCE = 0x5AD0u;
 
-// drift: of the shadow, most of all rays; came: how far the surface's point has come since the frame before, m.
-vec4 disc_rays_from(vec3 from, Surface s, LightSample l, uint light, ivec2 px, uint first, uint end, vec3 came, out float drift) {
+// moved: how far the surface's point has come since the frame before, m; drift: of the shadow of one that blocks.
+vec4 disc_rays_from(vec3 from, Surface s, LightSample l, uint light, ivec2 px, uint first, uint end, vec3 moved, out float drift) {
     drift = 0.0;
     uvec2 start = sequence_start(px, SHADOW_SEQUENCE + light, frame.seed);
     float size = light_row(light).kind == LIGHT_DIRECTIONAL ? light_row(light).size : light_row(light).size / l.distance;
-    vec3 sum = vec3(0.0);
+    vec3 sum = vec3(0.0), at = from;
+    Hit blocker = MISS;
     float weights = 0.0, width = 0.0, blocked = 0.0;
     FOR_SOME(uint, i, first, end) {
         float cos_axis;
@@ -35,12 +37,19 @@ vec4 disc_rays_from(vec3 from, Surface s, LightSample l, uint light, ivec2 px, u
         if (hit.t < INFINITY) {
             width += hit.t * size;
             blocked += 1.0;
-#if USE_MOVING && USE_DENOISE_SHADOWS
-            vec3 blocker = from + hit.t * to.dir, slid = blocker - previous_position(hit, blocker) - came;
-            drift = max(drift, drift_of(slid - dot(slid, l.dir) * l.dir, 0.5 * hit.t * size));
+#if DRIFTS
+            blocker = hit;
+            at = from + hit.t * to.dir;
 #endif
         }
     } END_FOR(i, end)
+#if DRIFTS
+    // One of those that block is as likely as the others to move, and pixels about look at other ones.
+    if (blocker.triangle != ID_NONE) {
+        vec3 slid = came(blocker, at) - moved;
+        drift = drift_of(slid - dot(slid, l.dir) * l.dir, 0.5 * blocker.t * size);
+    }
+#endif
     return vec4(weights > 0.0 ? sum / weights : vec3(0.0), blocked > 0.0 ? min(width / blocked, 1e15) : 0.0);
 }
 
@@ -49,12 +58,12 @@ void main() {
     if (any(greaterThanEqual(px, frame.size_px))) return;                  // groups overhang the edge
     Pixel p = load_pixel(px);
     Surface s;
-    vec3 from, came = vec3(0.0);
+    vec3 from, moved = vec3(0.0);
     if (covered(p)) {
         s = load_surface(p);
         from = shadow_origin(p, s);
-#if USE_MOVING && USE_DENOISE_SHADOWS
-        came = s.point.position - previous_position(p.hit, s.point.position);
+#if DRIFTS
+        moved = came(p.hit, s.point.position);
 #endif
     }
     FOR_SOME(uint, i, LIGHT_FIRST, LIGHT_END) {
@@ -66,7 +75,7 @@ void main() {
         if (covered(p)) {
             LightSample l = light_at(light_row(i), s.point.position);
             if (arrives(l) && faces(s, l.dir)) {
-                if (disc) result = disc_rays_from(from, s, l, i, px, first, end, came, drift);
+                if (disc) result = disc_rays_from(from, s, l, i, px, first, end, moved, drift);
                 else result = vec4(any_hit(Ray(from, 0.0, l.dir, l.distance)), 0.0);
             }
         }
@@ -77,7 +86,7 @@ void main() {
             else result.a = max(before.a, result.a);
         }
         imageStore(out_visibility, ivec3(px, i), result);
-#if USE_MOVING && USE_DENOISE_SHADOWS
+#if DRIFTS
         if (first > 0u) drift = max(drift, imageLoad(out_drift, ivec3(px, i)).x);
         imageStore(out_drift, ivec3(px, i), vec4(drift));
 #endif
