@@ -28,7 +28,11 @@ vec2 open_share(Surface s, ivec2 px) {
         if (dot(dir, s.point.n_geo) <= 0.0) continue;
         Hit hit;
         Ray ray = Ray(ray_origin(s.point, dir), 0.0, dir, ao_radius);
+#if USE_DENOISE_OCCLUSION
+        vec3 light = nearest_blocker(ray, hit);                               // a filter as wide as that of any would leave contacts
+#else
         vec3 light = any_hit(ray, hit);
+#endif
         open += (light.r + light.g + light.b) / 3.0;
         asked += 1.0;
         if (hit.t < ao_radius) {

@@ -93,7 +93,7 @@ def test_the_filter_leaves_less_error(renderer: gh.Renderer, context: "Context")
         assert errors[1] < share * errors[0] and abs(off.mean()) < bias
         foot = floor & (frame["position"][..., 0] < 0.1)
         near = frame["occlusion"][foot] - beside_wall(frame["position"][foot][:, 0])
-        assert foot.sum() > 200 and abs(near.mean()) < 0.02, near.mean()  # the truth rises by 0.05 over these 10 cm
+        assert foot.sum() > 200 and abs(near.mean()) < 0.015, near.mean()  # the truth rises by 0.05 over these 10 cm
 
 
 def streets() -> tuple[Scene, Camera]:
