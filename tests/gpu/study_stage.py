@@ -1,16 +1,14 @@
 """The small scene of the studies that are tested."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 from rays import moved, scene_of
 
+from glhybrid import jit
 from glhybrid.load.shapes import box
 from glhybrid.scene import Camera, Environment, Light, Material, Scene, Sphere
-
-if TYPE_CHECKING:
-    pass
 
 SIZE = (64, 48)
 CAMERA = Camera.look_at((3.0, 2.5, 4.0), (0, 0.4, 0), fov_y=0.7, name="main")
@@ -25,3 +23,9 @@ def stage(light: Light | None = None) -> Scene:
     sun = light or Light("directional", direction=(-0.6, -0.7, -0.4), intensity=3.0)
     sky = Environment(np.full((1, 1, 3), 0.5, np.float32))
     return scene.replace(name="stage", sha256="0", lights=(sun,), environment=sky, cameras=(CAMERA,))
+
+
+def own_cache(folder: Path) -> dict[str, str]:
+    """Variables that keep everything in a folder, but for compiled kernels: every process would compile them anew."""
+    kernels = jit.folder()
+    return {"GLHYBRID_CACHE": str(folder / "cache")} | ({"NUMBA_CACHE_DIR": str(kernels)} if kernels else {})

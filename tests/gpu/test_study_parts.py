@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from study_stage import own_cache
 
 import glhybrid as gh
 from glhybrid.load.builtin import scene_path
@@ -116,7 +117,8 @@ def test_processes_that_stand_still_are_not_waited_for(tmp_path: Path, monkeypat
 def test_the_ladder_shows_the_papers_bias(
     renderer: gh.Renderer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("GLHYBRID_CACHE", str(tmp_path / "cache"))
+    for name, value in own_cache(tmp_path).items():
+        monkeypatch.setenv(name, value)
     monkeypatch.setattr(paper, "ROUGHNESS", (0.25,))
     monkeypatch.setattr(paper, "QUICK_LADDER_SIZE", SIZE)
     found = paper.ladder(renderer, tmp_path, True, Clock(1, 0.0), Meter(None, False))

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from PIL import Image
-from study_stage import SIZE, stage
+from study_stage import SIZE, own_cache, stage
 
 import glhybrid as gh
 from glhybrid.errors import GlhybridError, OutputError, SettingError
@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 
 
 def _run(folder: Path, monkeypatch: pytest.MonkeyPatch, context: "Context", **extra: object) -> run.Study:
-    monkeypatch.setenv("GLHYBRID_CACHE", str(folder / "cache"))
+    for name, value in own_cache(folder).items():
+        monkeypatch.setenv(name, value)
     monkeypatch.setattr(run, "Renderer", lambda **_: gh.Renderer(context=context))
     # However busy the machine is, nothing is left out for time.
     usual = scene_study.effort
@@ -158,7 +159,7 @@ def test_a_killed_study_goes_on(tmp_path: Path) -> None:
     """The real thing, killed without warning while it measures: what was finished is kept as it was, the rest made."""
     scene = tmp_path / "post.toml"
     scene.write_text(POST)
-    environment = os.environ | {"GLHYBRID_CACHE": str(tmp_path / "cache"), "GLHYBRID_TUNING": "off"}
+    environment = os.environ | own_cache(tmp_path) | {"GLHYBRID_TUNING": "off"}
     command = [
         sys.executable, "-m", "glhybrid", "study", str(scene), "--quick", "--size", "48x36", "--samples", "4",
         "--techniques", "map,ray,env", "-o", str(tmp_path / "out"), "--quiet",
@@ -175,7 +176,7 @@ def test_a_killed_study_goes_on(tmp_path: Path) -> None:
     assert 3 <= len(kept) < 7
     options = {"quick": True, "sizes": ((48, 36),), "samples": 4, "only": ("map", "ray", "env"), "parts": ()}
     environment_now = pytest.MonkeyPatch()
-    for name in ("GLHYBRID_CACHE", "GLHYBRID_TUNING"):
+    for name in (*own_cache(tmp_path), "GLHYBRID_TUNING"):
         environment_now.setenv(name, environment[name])
     study = run.run((str(scene),), tmp_path / "out", **options)  # type: ignore[arg-type]
     environment_now.undo()
@@ -207,7 +208,7 @@ def test_an_interrupted_study_says_so_and_goes_on(tmp_path: Path, cells: int) ->
     """
     scene, folder = tmp_path / "post.toml", tmp_path / "out" / "post"
     scene.write_text(POST)
-    environment = os.environ | {"GLHYBRID_CACHE": str(tmp_path / "cache"), "GLHYBRID_TUNING": "off"}
+    environment = os.environ | own_cache(tmp_path) | {"GLHYBRID_TUNING": "off"}
     command = [
         sys.executable, "-c", AS_ON_A_GPU, "study", str(scene), "--quick", "--size", "48x36", "--samples", "64",
         "--techniques", "ray,env", "-o", str(tmp_path / "out"),
