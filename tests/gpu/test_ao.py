@@ -32,10 +32,9 @@ def seen(renderer: gh.Renderer, scene: Scene, camera: Camera, ao: str, **paramet
 
 
 def by_the_wall(height: float = 1.0) -> tuple[Scene, Camera]:
-    """A long wall on a floor; the camera looks down at the floor beside it. The wall is thin: rays stop at whichever of
-    its sides the tree has first, and filters believe that distance."""
-    scene = scene_of(box(size=(40, 0.2, 40)), box(size=(0.02, height, 40)), materials=(WHITE,), environment=SKY)
-    poses = [moved((0, -0.1, 0)), moved((-0.01, height / 2, 0))]
+    """A long wall on a floor; the camera looks down at the floor beside it."""
+    scene = scene_of(box(size=(40, 0.2, 40)), box(size=(0.2, height, 40)), materials=(WHITE,), environment=SKY)
+    poses = [moved((0, -0.1, 0)), moved((-0.1, height / 2, 0))]
     scene = scene.replace(instances=tuple(Instance(k, p) for k, p in enumerate(poses)))
     return scene, Camera.look_at((1.6, 2.2, 0.5), (1.0, 0, 0), fov_y=0.9)
 
