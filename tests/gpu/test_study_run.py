@@ -306,7 +306,8 @@ def test_a_crew_makes_programs_and_what_is_not_timed(
     device, opened, crews = "software" if context.device.software else "auto", [], []
 
     @contextmanager
-    def beside(_: object, __: str, output: Path, quick: bool) -> Iterator[Crew]:
+    def beside(renderer: gh.Renderer, __: str, output: Path, quick: bool) -> Iterator[Crew]:
+        assert renderer.tuning  # measured before others use the device, or they choose other programs
         with usual(gpu, device, output, quick) as crew:  # type: ignore[arg-type]
             assert crew is not None
             crews.append(crew)
