@@ -171,7 +171,9 @@ def test_what_a_steady_frame_calls(
     assert calls.c["Program.run"] == dispatches and calls.c["Context.memory_barrier"] <= dispatches
     assert calls.c["Buffer.write"] == 0  # the constants are those of the frame before
     blocks = {key: count for key, count in calls.bound.items() if "storage" in key[0]}
-    assert len(blocks) == 6 + (kernels == "joined") and sum(blocks.values()) == len(blocks), blocks
+    # Where tables are read by texels, programs have no blocks of them.
+    wanted = 3 if renderer.context.device.software else 6
+    assert len(blocks) == wanted + (kernels == "joined") and sum(blocks.values()) == len(blocks), blocks
     assert sum(calls.bound.values()) - sum(blocks.values()) <= images, calls.bound
     assert calls.python <= 1.1 * python and sum(calls.c.values()) <= 1.1 * c, (calls.python, calls.c)
 
