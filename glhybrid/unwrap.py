@@ -5,6 +5,7 @@ neighbouring triangles. It also stretches charts to whole texels of an atlas tha
 each axis of a chart the length it has on the surface. What xatlas cannot place is flattened triangle by triangle.
 """
 
+import time
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ from glhybrid import content_cache
 from glhybrid.scene import F32, F64, U32
 
 VERSION = 1  # of this module's results
+SETTLE_S = 0.002  # xatlas ends by a call to its thread that is lost if that is about to wait, and then waits for ever
 CLUSTER = 2048  # triangles handed to xatlas at a time: 69 k smooth ones take 5 s, where all at once take 52
 
 
@@ -90,6 +92,8 @@ def _flatten(corners: F32) -> tuple[F64, U32]:
         atlas.generate()
     except RuntimeError:  # a mesh that xatlas refuses
         return uv, chart
+    finally:
+        time.sleep(SETTLE_S)
     if not atlas.atlas_count:
         return uv, chart
     _, placed, flat = atlas.get_mesh(0)
